@@ -304,7 +304,7 @@ _PLANES = "pass (B,) arrays of numbers, for instance from jaxdet.flat_plane"
 
 
 def _column(name: str, values: Any, kinds: str) -> np.ndarray:
-    """Return a one-dimensional array whose dtype is of one of the NumPy kinds."""
+    """Return values as an array with one axis; its dtype must be of one of these NumPy kinds."""
     array = np.asarray(values) if hasattr(values, "dtype") else np.zeros((), object)
     if array.dtype.kind not in kinds or array.ndim != 1:
         kind = str(getattr(values, "dtype", type(values).__name__))

@@ -66,8 +66,8 @@ class GroundConfig:
     """Maximum height that the wheels can climb [m]; lower points are floor."""
     step_height_per_m: float = 0.003
     """Increase of the step height per metre of depth, for noise; it is divided by s for cells of s
-    x s pixels. In the preset paper it is not divided: it is the uncertainty of the floor's tilt
-    there (0.003 is 0.2 degrees), 0 as in the paper by default.
+    x s pixels. The preset paper uses it undivided, as the uncertainty of the floor's tilt (0.003 is
+    0.2 degrees), and sets it to 0, as in the paper.
     """
     noise_per_m: float = 0.07
     """Depth noise on the floor [1/m]: the step height is at least the product of this value, the
@@ -231,9 +231,9 @@ class SurfaceConfig:
     crease_cells: int = 3
     """Number of cells on each side over which a crease (a bend in depth) is measured."""
     crease_m: float = 0.010
-    """Minimum depth of a crease that separates surfaces [m]."""
+    """Minimum deviation in depth at a crease that separates surfaces [m]."""
     crease_per_m: float = 0.004
-    """Increase of the minimum crease depth, in proportion to z squared [1/m]."""
+    """Increase of crease_m, in proportion to z squared [1/m]."""
     crease_margin: int = 1
     """Number of cells by which creases are dilated, to close gaps in them."""
     min_cells: int = 6
@@ -357,14 +357,14 @@ class FootprintConfig:
     """Number of outermost points on each side, and of nearest points, that are ignored as outliers
     in A, B and C; at most a sixteenth of the obstacle's points. The paper has 0."""
     side_band_per_m: float = 0.006
-    """Width, per metre of distance [m/m], of a band of points behind the outermost point on each
-    side; the median of each band is A and B. It is needed as silhouettes blur over about three
-    pixels. The paper has no band (0)."""
+    """Width per metre of distance [m/m] of two bands of points, behind the leftmost and the
+    rightmost point. Their medians are A and B, since silhouettes blur over about three pixels. The
+    paper has no bands (0)."""
     near_band_per_m2: float = 0.012
-    """Depth, divided by the distance squared [1/m], of a band of points behind the nearest point;
-    the median of the band is C. It is needed as the minimum of noisy depths is biased; stereo noise
-    grows with the square of the distance, and 0.012 is about four standard deviations of a D435.
-    The paper has no band (0)."""
+    """Depth of a band of points behind the nearest point, divided by the distance squared [1/m], as
+    stereo noise grows with this square; 0.012 is about four standard deviations of a D435. The
+    median of the band is C, since the minimum of noisy depths is biased. The paper has no band (0).
+    """
     extension_m: float = 0.20
     """Distance by which the edge AB is extended backward if there is no vertex [m]. Rectangles that
     are fitted to cells are not extended."""

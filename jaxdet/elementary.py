@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 _HALF_PI = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21
-"""π/2 as a sum; the first two terms have 33 bits, so that products with 20 bits are exact."""
+"""π/2 as a sum; the first two terms have 33 bits, so that products with numbers of
+20 bits are exact."""
 _FARTHEST = 2.0**20 * 1.57
 """Largest angle that :func:`sin_cos` reduces with full accuracy [rad]."""
 _SIGNS = np.array([1.0, 1.0, -1.0, -1.0, 1.0])

@@ -83,7 +83,7 @@ def run_on_machines(
 
 
 def _closing(outcomes: list[dict[str, Any]]) -> str:
-    """Return the closing line of a run."""
+    """Return the line of text that ends the output of a run."""
     counts = Counter(one["state"] for one in outcomes)
     frames, found = (sum(one[name] for one in outcomes) for name in ("frames", "obstacles"))
     states = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])

@@ -104,7 +104,7 @@ class LabelScore:
         """Size and fingerprint of the file of labels; the results record them."""
 
     def __call__(self, batch: "Batch", found: Detections) -> Tally | str:
-        """Return the counts of a batch, or a text why it can't be compared; ``found`` is NumPy."""
+        """Return a batch's counts, or why it can't be compared; ``found`` has NumPy arrays."""
         frames, numbers = batch.frames, np.asarray(batch.frames.number).tolist()
         labels = [
             self._labels.get(("frame", number), self._labels.get(("stamp_ns", stamp)))
@@ -172,7 +172,7 @@ class TruthScore:
         load_truth(self._log)
 
     def __call__(self, batch: "Batch", found: Detections) -> Tally | str:
-        """Return the counts of a batch, or a text why it can't be compared; ``found`` is NumPy."""
+        """Return a batch's counts, or why it can't be compared; ``found`` has NumPy arrays."""
         try:
             return self._compare(batch, found)
         except InputError as error:
@@ -215,7 +215,7 @@ class TruthScore:
         return total([right, *claimed_floor(found, floor_m, unit, self.config, valid)])
 
     def _check_depth(self, z_m: np.ndarray, ids: np.ndarray, true_m: np.ndarray) -> None:
-        """Check the depth on obstacles against the true depth, as other logs may have equal stamps.
+        """Check depths on obstacles against true depths, as other logs may have equal timestamps.
 
         Raises:
             InputError: The depths differ too much.

@@ -13,8 +13,8 @@ from jaxdet.cli.fields import Option
 
 WIDTH, INDENT = 100, 31
 NARROW, NARROWEST, NARROW_INDENT = 72, 32, 8
-"""Width below which descriptions are shown below their flags, minimum width, and indent of these
-descriptions [column]."""
+"""In terminals with fewer than ``NARROW`` columns, descriptions are shown below their flags,
+indented by ``NARROW_INDENT``. Help is never narrower than ``NARROWEST`` columns."""
 _UNITS = {"_m": "M", "_s": "S", "_hz": "HZ", "_mib": "MIB"}
 
 

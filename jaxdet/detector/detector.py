@@ -159,8 +159,8 @@ class Detector:
                 :meth:`FrameResult.draw`; the preset ``paper`` finds corners in it.
             mount: Prior of this frame's floor, for instance from an IMU
                 (:meth:`Mount.from_gravity`); None: the detector's mount.
-            stamp_ns: Timestamp of the frame, an integer [ns], copied to the result; it selects the
-                time window's floor if the detector is from a log with ``ground.window_s``.
+            stamp_ns: Timestamp of the frame, an integer [ns], copied to the result. If the detector
+                is from a log with ``ground.window_s``, it selects the floor of a time window.
             T_world_camera: Pose ``(4, 4)`` of the depth camera's optical frame in the world [m],
                 for :attr:`Obstacle.corners_world`.
 
@@ -193,13 +193,14 @@ class Detector:
             depth: Depth images ``(B, Hd, Wd)``, uint16 or floats in metres, or a sequence of them.
             color: Colour ``(B, H, W, 3)`` or grey images ``(B, H, W)``, uint8, or a sequence of
                 them; None: no images.
-            mounts: Prior of the floor in each frame; the detector's mount replaces None, for all or
-                for single frames.
+            mounts: Prior of the floor of each frame; None, for a frame or for all: the detector's
+                mount.
             stamps_ns: Timestamps ``(B,)``, integers [ns] or datetime64; None: 0.
             T_world_camera: Poses ``(B, 4, 4)``, NaN if unknown; None: all unknown.
 
         Returns:
-            A sequence of the results of :meth:`__call__` for each frame, with their arrays.
+            A sequence of the results of the frames, each as from :meth:`__call__`, with the arrays
+            of the batch.
 
         Raises:
             InputError: The type or shape of the images is wrong, or the numbers of frames differ.

@@ -185,7 +185,7 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def nearest_text(self) -> str:
-        """Distance of the nearest obstacle, or its depth after ``~`` if the floor is unknown."""
+        """Text of the nearest obstacle's distance, or of its depth after ``~`` without a floor."""
         depths = [float(obstacle.xyz_min[2]) for obstacle in self.obstacles]
         return distance_text(self.nearest_m, min(depths)) if depths else ""
 
@@ -232,7 +232,7 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def drop_m(self) -> float | None:
-        """Distance of the nearest drop [m], or None."""
+        """Distance of the nearest drop [m], or None if no drop is visible."""
         value = float(self._column("drop_m"))
         return None if np.isnan(value) else value
 

@@ -73,8 +73,7 @@ def claimed_floor(
 ) -> list[Tally]:
     """Count the pixels of drivable floor inside of any outline.
 
-    Obstacles higher than ``hanging_m`` above the floor are excluded if there is a scene with
-    heights.
+    Obstacles higher than ``hanging_m`` above the floor are excluded if the detections have heights.
 
     Args:
         detections: Detections of ``B`` frames.

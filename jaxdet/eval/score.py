@@ -54,8 +54,9 @@ class Score(NamedTuple):
     obstacle_kept: float
     """Fraction of obstacle pixels above the step height kept by the ground stage."""
     free_claimed: float
-    """Fraction of the pixels of drivable floor, in range and measured as floor, inside any outline
-    except those of hanging obstacles; see :func:`jaxdet.eval.claimed_floor`."""
+    """Fraction of drivable floor pixels inside an outline. Only pixels in range and measured as
+    floor count, and outlines of hanging obstacles are ignored; see
+    :func:`jaxdet.eval.claimed_floor`."""
     free_claimed_worst: float
     """``free_claimed`` in the worst frame."""
     nearest_error_m: float

@@ -24,10 +24,11 @@ class EvalConfig:
     min_visible_pixels: int = 400
     """Minimum number of visible colour pixels of a required obstacle."""
     tolerance_px: int = 2
-    """Maximum distance of features from their object, along rows and columns [pixel]."""
+    """Maximum distance from an object at which a feature counts for it, along rows and columns
+    [pixel]."""
     smear_px: int = 4
-    """Maximum distance of pixels with an object's depth from the object, along rows and columns, if
-    the true depth is known [pixel]."""
+    """Maximum distance from an object at which a pixel with the object's depth counts for it, along
+    rows and columns [pixel]; used if the true depth is known."""
     depth_slack_m: float = 0.05
     """Tolerance of a measured depth [m]."""
     depth_slack_per_m2: float = 0.01
@@ -72,9 +73,9 @@ class FrameTruth(NamedTuple):
     obstacle_id: np.ndarray
     """Object number in each colour pixel, ``(B, H, W)`` integer, 0 = floor or nothing."""
     visible_pixels: np.ndarray
-    """Number of colour pixels that show the object, ``(B, J)`` integer."""
+    """Number of colour pixels that show each object, ``(B, J)`` integer."""
     nearest_m: np.ndarray
-    """Minimum z of the object's visible surface in the colour camera, ``(B, J)`` float [m]."""
+    """Minimum z of each object's visible surface in the colour camera, ``(B, J)`` float [m]."""
     nearest_forward_m: np.ndarray
     """Distance of the object's nearest face: minimum forward coordinate of its visible surface in
     the ground frame, ``(B, J)`` float [m]."""
@@ -82,9 +83,9 @@ class FrameTruth(NamedTuple):
     """Whether the object is a wall, ``(J,)`` bool; walls are not required, and detections on them
     are ignored."""
     ground_min: np.ndarray | None = None
-    """Minimum right and forward coordinates of the visible surface, ``(B, J, 2)`` float [m]."""
+    """Minimum coordinates (right, forward) of each visible surface, ``(B, J, 2)`` float [m]."""
     ground_max: np.ndarray | None = None
-    """Maximum right and forward coordinates of the visible surface, ``(B, J, 2)`` float [m]."""
+    """Maximum coordinates (right, forward) of each visible surface, ``(B, J, 2)`` float [m]."""
     footprint: np.ndarray | None = None
     """Outline on the floor in the ground frame, ``(B, J, V, 2)`` float [m], NaN after the last
     point."""

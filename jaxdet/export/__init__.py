@@ -29,7 +29,7 @@ class Format(NamedTuple):
     writes: str
     """Contents of the output."""
     shown_by: str
-    """Instruction to open it; ``{}`` is the output, quoted in a shell command."""
+    """Instruction to open the output; ``{}`` is its path, quoted in a shell command."""
     of_logs: str = ""
     """Contents that ``--log`` adds; empty if logs are not used."""
     extra: str = ""

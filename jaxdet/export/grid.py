@@ -79,7 +79,7 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
 
 
 def _groups_with(lasting: np.ndarray, occupied: np.ndarray) -> np.ndarray:
-    """Return the occupied cells of connected groups that contain a lasting cell, bool."""
+    """Return a mask of the occupied cells in connected groups that contain a lasting cell."""
     count, labels = cv2.connectedComponents(occupied.astype(np.uint8), connectivity=8)
     group = labels.astype(np.int32)
     has_one = np.zeros(count, bool)

@@ -255,7 +255,7 @@ def _in_world(results: Results, log: ResultLog) -> bool:
 
 
 def _is_placed(row: Mapping[str, Any]) -> bool:
-    """Return whether a frame's floor has a pose in the world, as in the tables."""
+    """Return whether floor and pose of a frame are known, so that it has a place in the world."""
     return row["camera_height_m"] is not None and T_world_upright(row) is not None
 
 
@@ -303,7 +303,7 @@ def _floor_in_world(row: Mapping[str, Any], T: np.ndarray) -> rr.Transform3D:
 
 
 def _camera_on_floor(row: Mapping[str, Any]) -> rr.Transform3D:
-    """Return the transform from the optical frame to the floor below it."""
+    """Return the transform from the optical frame to the floor frame below it."""
     T = np.linalg.inv(T_camera_floor(row))
     return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 

@@ -119,7 +119,7 @@ def detections(frame: Frame) -> dict[str, Any]:
 
 
 def _contours(results: Results, log: ResultLog) -> Iterator[np.ndarray]:
-    """Yield per frame the contours, else outlines, at the bottom and the top of obstacles."""
+    """Yield the cloud of each frame: contours, else outlines, at bottom and top of obstacles."""
     for row, obstacles in results.frames(log, FRAME_COLUMNS):
         T, parts = T_camera_floor(row), [np.zeros(0, POINT)]
         for obstacle in obstacles:

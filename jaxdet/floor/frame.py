@@ -27,7 +27,7 @@ def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:
     ``(-sin r sin p, -cos r sin p, cos p)`` and down ``(sin r cos p, cos r cos p, sin p)``.
 
     Args:
-        plane: ``B`` planes; a level camera is assumed if one is unknown.
+        plane: ``B`` planes; if a plane is unknown, a level camera is assumed.
         depth_unit: Metres per depth unit.
 
     Returns:

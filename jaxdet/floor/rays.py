@@ -10,7 +10,7 @@ from jaxdet.types import RAYS, Intrinsics
 
 UNITS = 16  # bearing units between neighbouring rays
 TURN = RAYS * UNITS  # bearing units of a full turn
-RATIO_BITS = 12  # fraction bits of the ratio by which bearings are tabulated
+RATIO_BITS = 12  # fraction bits of the tangents in bearing_table
 RAY_BITS = 13  # fraction bits of a direction
 TURN_BITS = 13  # fraction bits of the sine of a small turn
 TILE = 4  # rows of cells in a tile

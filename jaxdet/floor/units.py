@@ -78,7 +78,7 @@ class Scale(NamedTuple):
     """Conversion of lengths and tolerances to depth units."""
 
     unit: float  # metres per depth unit
-    noise_per_m: float  # standard deviation of depth divided by its square [1/m]
+    noise_per_m: float  # standard deviation of depth divided by depth squared [1/m]
 
     def length(self, metres: float) -> int:
         """Return a length rounded to depth units, at least one."""

@@ -155,7 +155,7 @@ def _draw_cells(
     side: int,
     scale: float,
 ) -> None:
-    """Tint the cells of each obstacle in its colour, and cells without one white."""
+    """Tint the cells of each obstacle in its colour, and cells without an obstacle white."""
     label, z = found.label[row], found.cells.z[row]
     label = np.where(found.keep[row] & (label < 0), LOOSE_LABEL, label)
     marked = found.cells._replace(z=np.where(label < 0, 0, z)[None])

@@ -70,7 +70,7 @@ def line(image: np.ndarray, points: np.ndarray, color: Color, width: int = 1) ->
 def polygon(
     image: np.ndarray, points: np.ndarray, color: Color, fill: float = 0.0, width: int = 2
 ) -> None:
-    """Draw a convex outline through ``points`` ``(P, 2)`` [pixel]; ``fill`` is its opacity."""
+    """Draw a convex outline through points ``(P, 2)`` [pixel], its area with opacity ``fill``."""
     if fill > 0:
         part, first = _part(image, points, 1)
         layer = part.copy()

@@ -7,9 +7,9 @@
 3. The illuminance of the sensor is ``E_s = E rho T / (4 N^2)``, with the reflectance rho, the
    transmission T of the lens and its f-number N (Holst, "CMOS/CCD Sensors and Camera Systems",
    equation for a distant extended source), reduced by vignetting.
-4. In the time t a pixel collects ``E_s t k`` electrons, ``k`` from the pixel area, the quantum
-   efficiency behind the colour filters and 4.1e15 photons / (s m2 lux): 1 W of light at 555 nm is
-   683 lm by definition of the candela.
+4. In the time t a pixel collects ``E_s t k`` electrons, where ``k`` is the product of the pixel
+   area, the quantum efficiency behind the colour filters and 4.1e15 photons / (s m2 lux): 1 W of
+   light at 555 nm is 683 lm by definition of the candela.
 5. Photon noise (Poisson, in its normal limit), read noise, full well and gain follow.
 6. Auto exposure brings the mean of the image to ``target``: first by the time, limited by the frame
    rate, then by the gain up to its limit. Beyond that the image darkens.

@@ -55,7 +55,7 @@ class Rendering(NamedTuple):
 
     @property
     def height(self) -> np.ndarray:
-        """Height above the floor beneath, ``(H, W)`` float32 [m], NaN without a hit."""
+        """Height of surfaces above the floor beneath, ``(H, W)`` float32 [m], NaN without a hit."""
         height = np.full(self.depth.shape, np.nan, np.float32)
         solid = self.kind >= PixelKind.WALL
         x, y, z = self.points[solid].T

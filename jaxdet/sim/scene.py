@@ -142,7 +142,7 @@ class Path:
     weave_length: float = 3.0
     """Wavelength [m]."""
     lead_s: float = 0.0
-    """Time since the start of the motion at the first frame [s]."""
+    """Time between the start of the motion and the first frame [s]."""
 
 
 @dataclass(frozen=True)

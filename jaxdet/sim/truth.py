@@ -180,8 +180,8 @@ def visible_extents(
     """Compute the extent of the visible part of each object.
 
     Returns:
-        Pixels ``(J,)``, nearest z ``(J,)``, minimum and maximum right, forward ``(J, 2)`` [m], as
-        in :class:`Truth`.
+        Number of pixels ``(J,)``, nearest z ``(J,)`` [m], and minimum and maximum coordinates
+        (right, forward), each ``(J, 2)`` [m], as in :class:`Truth`.
     """
     T = ground_frame(frame.T_world_base)
     pixels = np.bincount(frame.truth.obstacle_id.ravel(), minlength=objects + 1)[1:]

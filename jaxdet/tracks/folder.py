@@ -40,9 +40,9 @@ from jaxdet.tracks.sightings import OBSTACLE_COLUMNS, POSE_COLUMNS
 from jaxdet.tracks.tracker import Tracker
 
 WINDOW_FRAMES = 1024
-"""Number of frames linked together. It affects the results, as it may decide a link. Memory grows
-with it and with the square of the number of obstacles per frame: 0.2 GB for 30 obstacles, 1.6 GB
-for 100."""
+"""Number of frames linked together. It affects the results, as it may decide whether obstacles are
+linked. The memory needed grows with it and with the square of the number of obstacles per frame:
+0.2 GB for 30 obstacles, 1.6 GB for 100."""
 TRACKING_KEY = "jaxdet.tracking"
 KNOWN = "known_map"
 """Name, without suffix, of the copy of the map with which obstacles were compared."""
@@ -344,7 +344,7 @@ class _Writer:
 
 
 def _metadata(results: Results, config: TrackConfig) -> dict[str, str]:
-    """Return the metadata of the tables: those of the obstacles, and the tracking parameters."""
+    """Return the tables' metadata: those of ``obstacles.parquet``, and the tracking parameters."""
     tracking = json.dumps(dataclasses.asdict(config), sort_keys=True, separators=(",", ":"))
     about = results.metadata(results.logs[0]) if results.logs else {}
     return about | {TRACKING_KEY: tracking}

@@ -12,8 +12,8 @@ from jaxdet.tracks.outlines import Outlines, displacement, gap
 from jaxdet.tracks.pairs import chain_starts, greedy_matching, pairs_of_frames, ranges
 
 FIT_S = 0.5
-"""Time over which the velocity at an end of a tracklet is fitted [s]; at least one further
-observation is used."""
+"""Time over which the velocity at an end of a tracklet is fitted [s]; the observation next to the
+end is used even if it is farther away in time."""
 _STEADY_S = 0.1
 """Regularisation: velocities fitted over less time than this shrink toward zero [s]."""
 _STRETCH = 0.1
@@ -33,8 +33,8 @@ def link_frames(
     Args:
         obs: ``N`` observations.
         before: Index of the previous observation of each, ``(N,)`` int64, -1 for none.
-        first: Index of the first observation to link, to earlier ones or to each other.
-        config: Gate.
+        first: Index of the first observation that may be linked to an earlier one.
+        config: Tracking parameters with the gate.
 
     Returns:
         ``before`` with the new links.
@@ -142,7 +142,7 @@ def tracklets_of(obs: Observations, before: np.ndarray) -> Tracklets:
 
 
 def _next(chain: np.ndarray, at: np.ndarray, step: int) -> np.ndarray:
-    """Return the existing rows that are ``step`` observations after ``at`` in their chains."""
+    """Return the rows ``step`` observations after the rows ``at`` in their chains, if any."""
     order = np.argsort(chain, kind="stable")
     position = np.empty(len(chain), np.int64)
     position[order] = np.arange(len(chain))

@@ -125,8 +125,8 @@ def _rightwards(ground: np.ndarray, world: np.ndarray, in_world: np.ndarray) -> 
 def _across(roll_rad: np.ndarray) -> np.ndarray:
     """Return the direction of increasing image columns, ``(N,)``: 1 right, -1 left, 0 neither.
 
-    It is left for an upside-down camera (roll of 135 degrees or more), and neither for a camera on
-    its side (45 degrees or more).
+    The direction is left for an upside-down camera (roll of 135 degrees or more), and neither for a
+    camera on its side (45 degrees or more).
     """
     upright = cos(np.where(np.isnan(roll_rad), 0.0, roll_rad))
     return np.where(np.abs(upright) > cos(np.pi / 4), np.sign(upright), 0.0)

@@ -39,7 +39,7 @@ class Outlines(NamedTuple):
         return 4 * self.half[:, 0] * self.half[:, 1]
 
     def reach(self, direction: np.ndarray) -> np.ndarray:
-        """Return half the extent along unit vectors ``(N, 2)``, ``(N,)`` [m]."""
+        """Return half the extents ``(N,)`` [m] along unit vectors ``(N, 2)``."""
         along = np.abs(dot(self.axis, direction))
         across = np.abs(self.axis[:, 0] * direction[:, 1] - self.axis[:, 1] * direction[:, 0])
         return self.half[:, 0] * along + self.half[:, 1] * across

@@ -113,7 +113,7 @@ class Places:
         np.add.at(self._of_tracks, tracks[linked], each[linked])
 
     def follow(self, rows: TrackRows) -> None:
-        """Count the frames that show floor at the position that a moving track has in them."""
+        """Count the frames that show floor at the position of a moving track in the same frame."""
         tracks = TracksInFrames(row for part in rows.ordered() for row in part.to_pylist())
         for chunk in self._results.chunks(self._log, FRAME_COLUMNS, (), CHUNK_FRAMES):
             frames, numbers, places = [], [], []
@@ -158,8 +158,8 @@ class Places:
 def shares_in_map(chunk: Tables, known: KnownPlaces) -> np.ndarray:
     """Return the fraction of the points of each visible edge that a map contains.
 
-    The map contains a point if there is an occupied cell near it, or within :data:`BEHIND_M` of it
-    if its own cell is unknown.
+    The map contains a point if there is an occupied cell near it, or, if the cell of the point is
+    unknown, within :data:`BEHIND_M` of the point.
 
     Args:
         chunk: Tables with ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of

@@ -30,7 +30,7 @@ class TrackIds:
         self._taken = 0
         """Number of calls of :meth:`add` that are taken."""
         self._ended: deque[tuple[int, int]] = deque()
-        """Ended chains, each after the number of calls of :meth:`add` before its end."""
+        """Pairs for ended chains: number of calls of :meth:`add` before the end, and chain."""
 
     def add(self, observed: np.ndarray, obstacles: np.ndarray) -> None:
         """Add the observations of the next frames.

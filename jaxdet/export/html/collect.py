@@ -23,7 +23,7 @@ NEAR_M = (1.0, 0.5)
 """Distances below which obstacles are counted [m], in addition to the histogram, as its bins may
 have other edges."""
 APART = 20
-"""Notable frames are separated by this fraction (1 / APART) of their log."""
+"""Notable frames are at least 1 / ``APART`` of their log apart."""
 CHUNK_FRAMES = 1 << 16
 """Number of frames read at once."""
 FRAME_COLUMNS = ("frame", "stamp_ns", "status", "overflow")
@@ -35,11 +35,11 @@ class Columns(NamedTuple):
     frame: np.ndarray
     """Frame numbers ``(n,)`` int64."""
     stamp_ns: np.ndarray
-    """Timestamps ``(n,)`` int64."""
+    """Timestamps ``(n,)`` int64 [ns]."""
     status: np.ndarray
     """Status ``(n,)`` str objects."""
     overflow: np.ndarray
-    """Overflow ``(n,)`` bool."""
+    """Whether obstacles may be missing, ``(n,)`` bool."""
     obstacles: np.ndarray
     """Number of obstacles, ``(n,)`` int64."""
     distance_m: np.ndarray
@@ -127,7 +127,7 @@ class Timeline:
 
 
 def _best(index: np.ndarray, cost: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return the row of least cost in each bin, the first in a tie; ``first`` begins each bin."""
+    """Return the row of least cost in each bin, the first in a tie; ``first``: first row per bin."""
     order = np.lexsort((np.arange(len(cost)), cost, index))
     return order[first]
 

@@ -37,7 +37,7 @@ SOURCES = {
 }
 """Source of a frame's floor in words, by value of the column ``floor_source``."""
 FIRST_DATE_S = 946684800
-"""Timestamps before the year 2000 are not UNIX times, and have no date [s]."""
+"""Start of the year 2000 [s]; earlier timestamps are not taken as UNIX times and have no date."""
 _LONGEST = 120
 """Maximum number of characters that are shown of a setting's value."""
 
