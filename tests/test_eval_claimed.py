@@ -57,7 +57,7 @@ FLOOR = np.array([[[[0.5, 1.5], [0.9, 1.9], [1.5, 1.5], [0.5, 2.5]]]] * 2)
 :func:`found`, one is in the second, and one is behind the first."""
 
 
-def test_claimed_floor_by_hand() -> None:
+def test_claimed_floor_matches_a_hand_calculation() -> None:
     detections = found()
     heights = np.zeros_like(detections.scene.bottom_top)
     low = with_scene(detections, bottom_top=heights)

@@ -57,7 +57,7 @@ def test_noise_has_little_influence_on_the_plane(noise):
     assert_found(fit, pose, angle=0.25, height=6.0)
 
 
-def test_level_floor_is_exact():
+def test_the_floor_of_a_level_camera_is_exact():
     """For a level camera 500 mm up, floor cells are 500 below it at any depth."""
     z = np.zeros((120, 160), np.int32)
     v = np.arange(61, 120)
@@ -171,7 +171,7 @@ def test_a_camera_on_its_side_is_refused_without_a_prior():
     assert_refused(alone, Refusal.FAR, unknown_plane(1))
 
 
-def test_a_wall_close_ahead_leaves_too_little_floor():
+def test_the_floor_before_a_close_wall_is_refused_as_too_little():
     pose = Pose(0.5, 5.0, 0.0)
     wall: list[Box] = [((-4, 1.1, 0), (4, 1.2, 3))]
     fit = found(measured(cast(pose, wall)), unknown_plane(1))

@@ -145,7 +145,7 @@ def test_a_wall_below_a_step_may_reach_the_height_of_the_floor() -> None:
     assert end == [FreeEnd.DROP] * WIDE
 
 
-def test_a_narrow_drop_is_a_reflection() -> None:
+def test_a_narrow_drop_counts_as_a_reflection() -> None:
     """If at most half of a column and its neighbours drop, the reason of the end is unknown."""
     plain = column(*floor(500, 900, 1300, 1700, 2100, 2500), None)
     _, end = found(*[plain] * NEIGHBOURS, *[STEP_DOWN] * NEIGHBOURS, *[plain] * NEIGHBOURS)

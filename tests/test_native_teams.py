@@ -75,7 +75,7 @@ def built(folder: Path, *flags: str) -> Path:
     return program
 
 
-def test_threads_of_a_block_equal_a_single_thread(tmp_path: Path) -> None:
+def test_results_of_the_threads_of_a_block_equal_those_of_a_single_thread(tmp_path: Path) -> None:
     check(built(tmp_path, "-O1", "-DSIMT"), simulated())
 
 

@@ -163,20 +163,20 @@ def test_the_nearest_pixel_of_a_tile_blocks_its_sectors() -> None:
     assert stands[AHEAD + 9] == int(np.hypot(1800, 5 * 0.0079 * 1800))
 
 
-def test_a_pixel_on_the_floor_does_not_block() -> None:
+def test_a_pixel_on_the_floor_does_not_block_rays() -> None:
     place, floor = (18, 15), round(FLOOR_AT)
     assert (stands_of({place: round(floor * 0.97)}) == NONE).all()
     assert stands_of({place: round(floor * 0.6)})[AHEAD] == round(floor * 0.6)
 
 
-def test_a_cell_blocks_if_its_nearest_pixel_is_too_near_or_on_the_floor() -> None:
+def test_a_cell_blocks_rays_if_its_nearest_pixel_is_too_near_or_on_the_floor() -> None:
     place, floor = (18, 15), round(FLOOR_AT)
     assert stands_of({place: 20}, {place: 2000})[AHEAD] == 2000
     assert stands_of({place: 1900}, {place: 2000})[AHEAD] == 1900
     assert stands_of({place: floor}, {place: floor})[AHEAD] == floor
 
 
-def test_all_pixels_block_if_the_floor_is_unknown() -> None:
+def test_all_pixels_block_rays_if_the_floor_is_unknown() -> None:
     frame = floor_frames(unknown_plane(1), 0.001)[0]
     assert stands_of({(18, 15): 3900}, frame=frame)[AHEAD] == 3900
 

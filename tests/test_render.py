@@ -211,7 +211,7 @@ def test_map_shows_free_cells() -> None:
     assert columns.max() < 0.6 * image.shape[1]
 
 
-def test_map_has_y_up_and_the_trajectory(tmp_path: Path) -> None:
+def test_the_map_has_y_up_and_shows_the_trajectory(tmp_path: Path) -> None:
     counts = np.zeros((40, 80), np.int32)
     counts[30:40, 60:80] = 7  # large X, large Y: upper right
     counts[0, 0] = 1

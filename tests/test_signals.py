@@ -86,7 +86,7 @@ def test_a_signal_interrupts_a_waiting_thread() -> None:
     assert time.monotonic() - start < 3
 
 
-def test_a_signal_leaves_no_lock_that_a_wait_must_reacquire() -> None:
+def test_a_signal_during_a_wait_is_raised_after_the_lock_is_reacquired() -> None:
     """The end of ``Condition.wait`` is inside of a ``with`` that releases the lock."""
     code = """
 def take_again():
