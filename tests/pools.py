@@ -22,7 +22,7 @@ def same_results(one: Path, other: Path) -> None:
 
 
 def on_this_machine(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Use the code for GPUs on the CPU; return a list that grows by the elements of each copy."""
+    """Use the code for GPUs on the CPU; return a list to which each copy appends its size."""
     copies = []
 
     def copy(

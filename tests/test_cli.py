@@ -207,7 +207,7 @@ SHELLS = {
         ["foxglove"],
     ),
 }
-"""Flags, a script and what it prints, for each shell."""
+"""Flags of the shell, a script, and the words that the script prints, by shell."""
 
 
 @pytest.mark.parametrize("shell", SHELLS)

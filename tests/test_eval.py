@@ -51,7 +51,7 @@ def truth(**changes):
 
 
 def detections(points, forward_mm, **outline):
-    """Return detections of a frame: ``points`` (u, v, label), forward distance of each C [mm]."""
+    """Return detections of a frame from points (u, v, label) and forward distances of C [mm]."""
     u, v, labels = (np.array([column], np.int32) for column in zip(*points, strict=True))
     used = np.ones(u.shape, bool)
     features = Features(u, v, u, v, v, used, used, np.zeros(1, bool))
@@ -178,8 +178,8 @@ def test_detections_of_objects_that_are_not_required_are_ignored():
 def test_detections_on_ignored_objects_may_be_matches_or_ignored():
     """Half of a detection is on an ignored object.
 
-    If the other half is on a required object, the detection is a match; if that is on the floor,
-    the detection is ignored.
+    If the other half is on a required object, the detection is a match; if the other half is on the
+    floor, the detection is ignored.
     """
     far = truth(nearest_m=np.array([[1.0, 5.0, 3.0, 8.0]]))
     got = evaluate(detections(on(1, 0) + on(2, 0), [1100]), far)

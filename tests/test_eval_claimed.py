@@ -28,7 +28,10 @@ CONFIG = EvalConfig(footprint=Config().footprint, min_visible_pixels=3)
 
 
 def found() -> Detections:
-    """Return two frames; the first has a square from (0, 1) to (1, 2) and one 1 m to its right."""
+    """Return detections of two frames; the first has two outlines.
+
+    One is the square from (0, 1) to (1, 2) [m], the other is 1 m to the right of it.
+    """
     calibration = small()
     color = np.zeros((2, 60, 80, 3), np.uint8)
     plane = flat_plane(*np.full((3, 2), [[0.4], [0.0], [0.0]]))

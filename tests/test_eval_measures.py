@@ -1,4 +1,4 @@
-"""Indices, partitions, matches and outlines: by hand, compared with sklearn, and laws."""
+"""Indices, partitions, matches and outlines: examples by hand, comparison with sklearn, laws."""
 
 import math
 

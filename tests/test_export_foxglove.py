@@ -101,7 +101,7 @@ def outside(points: np.ndarray, corners: list[float]) -> float:
 
 
 def in_world(obstacle: dict[str, Any]) -> np.ndarray:
-    """Return the contour in the world, by the transform between both columns of corners."""
+    """Return the contour in the world, by the transform of corners_ground to corners_world."""
     ground, world = (
         np.reshape(obstacle[f"corners_{where}"], (4, 2)) for where in ("ground", "world")
     )

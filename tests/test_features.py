@@ -1,4 +1,4 @@
-"""features: compared with OpenCV, examples by hand, and the kernel against the reference."""
+"""features: examples by hand, and comparisons with OpenCV and of kernel and reference."""
 
 from dataclasses import replace
 from typing import Any, cast

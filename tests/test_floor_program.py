@@ -55,7 +55,7 @@ def assert_same(
 
 
 def priors(plane: GroundPlane) -> list[GroundPlane]:
-    """Return priors: correct, some of them wrong, and unknown."""
+    """Return the planes as prior, the planes with errors of pitch, height or roll, and no prior."""
     up, roll = np.radians(2.0), np.radians(-2.0)
     return [
         plane,

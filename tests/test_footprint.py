@@ -1,4 +1,7 @@
-"""footprint: examples by hand, and kernel against reference; rectangles: ``test_metric.py``."""
+"""footprint: examples by hand, and comparison of kernel and reference.
+
+Rectangles are tested in ``tests/test_metric.py``.
+"""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""ground: Eq. 5 in exact arithmetic, tilted cameras by geometry, and kernel against reference."""
+"""ground: Eq. 5 in exact arithmetic, tilted cameras by geometry, and kernel and reference."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -65,7 +65,7 @@ def test_in_fine_depth_units_all_depths_may_be_too_near(backend):
 
 @BACKENDS
 def test_level_camera_equals_equation_5_on_every_pixel(backend):
-    """v - c_y >= f (h - 0.05) / z, in rational arithmetic, for every row and many depths."""
+    """Eq. 5, ``v - c_y >= f (h - 0.05) / z``, is computed in rational numbers for many depths."""
     height, step, unit = Fraction("0.62"), Fraction("0.05"), Fraction("0.001")
     depths = np.unique(np.concatenate([np.arange(1, 4000, 7), [342, 570, 1026, 1710, 2850]]))
     z = np.broadcast_to(depths[:, None, None], (len(depths), 48, 64)).astype(np.uint16)

@@ -34,7 +34,7 @@ SAID = {
     "wide_json": "messages can't be decoded",
     "jpeg_scans": "no_color",
 }
-"""Patterns of the expected errors."""
+"""Patterns of the expected error messages, by bomb."""
 
 READ = """
 import sys, time

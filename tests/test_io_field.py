@@ -43,7 +43,7 @@ def aligned(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
 
 @pytest.fixture(scope="module")
 def raw(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
-    """Return messages of a simulated log with a separate depth camera; TF has the pose of it."""
+    """Return messages of a simulated log with a separate depth camera that has a pose in TF."""
     path = tmp_path_factory.mktemp("sim") / "raw.mcap"
     config = SimConfig(frames=6, width=160, height=120, depth_form="raw", extrinsics="tf")
     write_log(path, config)

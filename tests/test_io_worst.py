@@ -66,7 +66,7 @@ def worst_png(height: int, share: float = 1.2) -> bytes:
 
 
 def worst_rvl(height: int) -> bytes:
-    """Return RVL with numbers of 11 nibbles each: no zeros, one pixel, no difference."""
+    """Return RVL with numbers of 11 nibbles, which code no zeros, one pixel, and no difference."""
     numbers = [[8] * 10 + [0], [9] + [8] * 9 + [0], [8] * 10 + [0]]
     nibbles = np.array([n for number in numbers for n in number] * (height * W), np.uint32)
     nibbles = np.pad(nibbles, (0, -len(nibbles) % 8)).reshape(-1, 8)

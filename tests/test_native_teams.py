@@ -53,7 +53,7 @@ def simulated() -> Iterator[Case]:
 
 
 def odd() -> Iterator[Case]:
-    """Yield noise and smooth depth of unusual sizes, of separate colour cameras and of lenses."""
+    """Yield noise and smooth depth of unusual sizes, with separate colour cameras and lenses."""
     cameras = [small(263, 195), small(33, 20), small(9, 8)]
     for lens in ("plumb_bob", "rational", "inverse"):
         cameras.append(Calibration(with_lens(resized(D435_DEPTH, 161, 119), lens)))

@@ -25,7 +25,7 @@ TABLES = "frames.parquet", "obstacles.parquet"
 
 
 def in_depth(show: Callable[[np.ndarray], None]) -> Change:
-    """Change depth images."""
+    """Return a change that applies ``show`` to depth images."""
 
     def change(message: Message) -> None:
         if message.kind == "sensor_msgs/Image" and "depth" in message.topic:

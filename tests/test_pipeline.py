@@ -165,7 +165,7 @@ def other_settings(config: Config) -> Config:
     ("name", "program"), [("wheeled", _detect._detect), ("paper", _paper._detect)]
 )
 def test_settings_and_calibration_are_not_compile_time_constants(device, name, program):
-    """Another calibration with the same image size, or other settings, must not compile it again."""
+    """A calibration of the same image size and other settings do not compile the program again."""
     given, config = made_frames(3), PRESETS[name]
     detect(given, config)
     compiled = cast(Any, program)._cache_size

@@ -21,9 +21,9 @@ NOTHING = np.full(RAYS, NONE)
 def fan(
     stop: list[int], end: list[int], start: int = 500, behind: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return columns a cell apart that begin and end at these distances from where they meet.
+    """Return the free floor of columns a cell apart, from ``start`` to ``stop`` forward [mm].
 
-    They meet behind the foot, as for a camera that looks down.
+    The columns meet ``behind`` behind the foot, as for a camera that looks down.
     """
     slope = np.tan((np.arange(len(stop)) - (len(stop) - 1) / 2) * 0.0079)
     ahead = np.array([[start] * len(stop), stop])
@@ -32,7 +32,7 @@ def fan(
 
 
 def block(*places: tuple[int, int], wide: int = 1) -> np.ndarray:
-    """Return ranges on the rays of positions and their neighbours."""
+    """Return the ranges of obstacles at these positions, on their rays and ``wide`` neighbours."""
     nearest = NOTHING.copy()
     for right, forward in places:
         ray = AHEAD + round(np.degrees(np.arctan2(right, forward)) * 4)
@@ -55,7 +55,7 @@ CELLS = np.rint(
 ).astype(np.int64)
 """Rays of a small camera, level and 0.25 m above the floor."""
 FLOOR_AT = 250 / (9 * 0.0079)
-"""Depth of the floor in row 18."""
+"""Depth of the floor in row 18 [mm]."""
 
 
 def stands_of(
@@ -63,7 +63,8 @@ def stands_of(
     z: dict[tuple[int, int], int] | None = None,
     frame: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the ranges of obstacles from pixels, and from cells above the step, by index."""
+    """Return the ranges of obstacles from depths by (row, column): of pixels, and of cells above
+    the step height."""
     if frame is None:
         frame = floor_frames(flat_plane(np.array([0.25]), np.zeros(1), np.zeros(1)), 0.001)[0]
     pixels, depths = np.zeros((2, ROWS, COLUMNS), np.int64)

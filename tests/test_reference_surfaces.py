@@ -24,7 +24,7 @@ from jaxdet.reference._surfaces import (
 
 UNIT = 0.001
 PLAIN = SurfaceConfig(step_m=0.03, step_per_m=0.0, crease_m=1.0, min_cells=1)
-"""Step of 30 mm at any depth, no creases, no minimum size."""
+"""Configuration with a step of 30 mm at any depth, without creases and without minimum size."""
 CREASED = SurfaceConfig(step_m=0.03, step_per_m=0.0, crease_m=0.01, crease_per_m=0.0, min_cells=6)
 
 

@@ -171,7 +171,7 @@ def test_a_scene_shows_free_floor_and_drops() -> None:
 
 
 def test_free_floor_is_drawn_only_between_adjacent_rays() -> None:
-    """It is interrupted at rays without free floor."""
+    """The drawn floor is interrupted at rays without free floor."""
     free, ahead = np.zeros((1, RAYS, 2), np.int32), RAYS // 2
     free[0, ahead : ahead + 41] = free[0, ahead - 40] = 500, 2000
     image = np.zeros((200, 200, 3), np.uint8)

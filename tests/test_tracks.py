@@ -530,7 +530,7 @@ def test_tables_of_tracks_agree_with_the_obstacles(folder: Path, capsys: pytest.
 
 
 def test_repeated_runs_write_identical_bytes(folder: Path, tmp_path: Path):
-    """Neither repetition nor the batch of the run matters."""
+    """Neither repetition nor the batch size of the run matters."""
     track_results(folder)
     other = results(tmp_path, "log", SIM, batch_size=5)
     track_results(other)

@@ -477,7 +477,7 @@ def test_local_lines_are_fitted_to_frames_at_any_times():
 
 
 def test_numbers_of_tracks_match_a_hand_calculation():
-    """Tracks are numbered by their first observation as soon as it is certain."""
+    """Tracks are numbered in the order of their first observations, once they are certain."""
     numbers = TrackIds(3)
 
     def add(*chains: int, obstacles: tuple[int, ...] = ()) -> list[list[int]]:

@@ -92,7 +92,7 @@ def read(folder: Path) -> dict[str, pa.Table]:
 
 
 def frames_of(table: pa.Table, log: str, start: int, stop: int) -> list[int]:
-    """Return the rows of a range of frames."""
+    """Return the indices of the rows of a range of frames."""
     keys = zip(table["log"].to_pylist(), table["frame"].to_pylist(), strict=True)
     return [row for row, (name, frame) in enumerate(keys) if name == log and start <= frame < stop]
 

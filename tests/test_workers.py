@@ -573,7 +573,7 @@ def test_a_signal_just_before_workers_start_does_not_hang(monkeypatch):
 
 @pytest.mark.parametrize("deaths", [2, 4])
 def test_workers_start_again_once_if_the_fork_server_dies_while_they_start(monkeypatch, deaths):
-    """pytest turns an exception that leaves a thread into a failure."""
+    """If an exception leaves a thread, pytest fails the test."""
     begin, left = BaseProcess.start, iter(range(deaths))
 
     def start(self: Any) -> None:
