@@ -1,4 +1,4 @@
-"""Decompression bombs: small files whose headers demand much memory, and their effect."""
+"""Decompression bombs: small files that would take much memory or time to read."""
 
 import struct
 from collections.abc import Callable

@@ -72,7 +72,7 @@ def cast_step(pose: Pose, drop: float, start: float) -> np.ndarray:
 
 
 def measured(z: np.ndarray, seed: int = 0, noise: float = 0.002) -> np.ndarray:
-    """Return depth [m] as a stereo camera would measure it: [mm], with noise and holes."""
+    """Return the image [mm] that a stereo camera measures of depth [m], with noise and holes."""
     rng = np.random.default_rng(seed)
     z = np.minimum(z, 20)
     z = z + rng.normal(0, 1, z.shape) * noise * z * z

@@ -36,7 +36,7 @@ def run(logs: Path, output: Path, **more: Any) -> None:
 
 
 def files(output: Path) -> dict[str, bytes]:
-    """Return the files of a run, without times."""
+    """Return the contents of the files of a run, empty for files that contain times."""
     found = {str(p.relative_to(output)): p for p in output.rglob("*") if p.is_file()}
     return {n: b"" if p.name in TIMES else p.read_bytes() for n, p in found.items()}
 

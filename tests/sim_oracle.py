@@ -6,7 +6,7 @@ from jaxdet.types import Intrinsics
 
 
 def rays_of(camera: Intrinsics, T_world_camera: np.ndarray) -> np.ndarray:
-    """Return directions ``(H, W, 3)`` in the world, 1 along the optical axis."""
+    """Return directions ``(H, W, 3)`` in the world, of length 1 along the optical axis."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)])
     return np.moveaxis(local, 0, -1) @ T_world_camera[:3, :3].T

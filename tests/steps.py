@@ -151,7 +151,7 @@ def outlines(
     tables: Tables,
     side: int,
 ) -> Outlined:
-    """Run ``find_outlines``; ``floor`` is right, forward and height of the cells."""
+    """Run ``find_outlines``; ``floor`` contains right, forward and height of the cells."""
     names = "right", "forward", "height"
     given = {**grid._asdict(), **dict(zip(names, floor, strict=True))}
     given |= {"label": label, "num_obstacles": count}

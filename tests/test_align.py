@@ -1,4 +1,4 @@
-"""align: examples by hand, compared with librealsense, and the kernel against the reference."""
+"""align: examples by hand, and comparisons with librealsense and of kernel and reference."""
 
 import cv2
 import numpy as np

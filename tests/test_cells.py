@@ -156,7 +156,7 @@ def test_position_lies_on_the_ray_through_the_centre() -> None:
 @pytest.mark.parametrize("color_scale", [0.5, 1.0, 2.5])
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.0, 0.74, 0.59)])
 def test_box_contains_the_projected_pixels(color_scale: float, turn: tuple) -> None:
-    """Boxes contain the aligned pixels of single cells; for a rotated camera, within a pixel."""
+    """With a rotated colour camera, aligned pixels may be one pixel outside of their cell's box."""
     motion = Extrinsics(rotation(*turn), (0.0143, 0.0006, 0.0006))
     calibration = small(color_scale=color_scale)._replace(color_from_depth=motion)
     config = SurfaceConfig(cell_rad=4 / calibration.depth.fx)

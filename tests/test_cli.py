@@ -207,11 +207,11 @@ SHELLS = {
         ["foxglove"],
     ),
 }
-"""Flags, a script and what it prints, for each shell."""
+"""Flags of the shell, a script, and the words that the script prints, by shell."""
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_completion_in_a_shell(shell: str, tmp_path: Path) -> None:
+def test_words_are_completed_in_each_shell(shell: str, tmp_path: Path) -> None:
     if not shutil.which(shell):
         pytest.skip(f"no {shell} here")
     program = tmp_path / "jaxdet"

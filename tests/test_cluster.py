@@ -1,4 +1,4 @@
-"""cluster: examples by hand, compared with SciPy's single linkage, and kernel against reference."""
+"""cluster: examples by hand, and comparisons with SciPy and of kernel and reference."""
 
 from dataclasses import replace
 

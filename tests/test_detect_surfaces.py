@@ -262,7 +262,7 @@ LOOKING_DOWN = {"camera_height_m": 0.6, "camera_pitch_rad": 0.45}
 
 
 def test_sizes_without_noise_are_within_3_cm() -> None:
-    """Tested for the front of a tall box, and width and depth of a low box seen from above."""
+    """A tall box shows its front, a low box that is seen from above its width and depth."""
     sensor = DepthSensor(enabled=False)
     wide, _, high = sizes(found(of(simulated(CARTON_BOX, sensor=sensor))))[0]
     assert (wide, high) == pytest.approx((0.4, 0.4), abs=0.03)

@@ -28,7 +28,10 @@ CONFIG = EvalConfig(footprint=Config().footprint, min_visible_pixels=3)
 
 
 def found() -> Detections:
-    """Return two frames; the first has a square from (0, 1) to (1, 2) and one 1 m to its right."""
+    """Return detections of two frames; the first has two outlines.
+
+    One is the square from (0, 1) to (1, 2) [m], the other is 1 m to the right of it.
+    """
     calibration = small()
     color = np.zeros((2, 60, 80, 3), np.uint8)
     plane = flat_plane(*np.full((3, 2), [[0.4], [0.0], [0.0]]))
@@ -57,7 +60,7 @@ FLOOR = np.array([[[[0.5, 1.5], [0.9, 1.9], [1.5, 1.5], [0.5, 2.5]]]] * 2)
 :func:`found`, one is in the second, and one is behind the first."""
 
 
-def test_claimed_floor_by_hand() -> None:
+def test_claimed_floor_matches_a_hand_calculation() -> None:
     detections = found()
     heights = np.zeros_like(detections.scene.bottom_top)
     low = with_scene(detections, bottom_top=heights)

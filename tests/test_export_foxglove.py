@@ -101,7 +101,7 @@ def outside(points: np.ndarray, corners: list[float]) -> float:
 
 
 def in_world(obstacle: dict[str, Any]) -> np.ndarray:
-    """Return the contour in the world, by the transform between both columns of corners."""
+    """Return the contour in the world, by the transform of corners_ground to corners_world."""
     ground, world = (
         np.reshape(obstacle[f"corners_{where}"], (4, 2)) for where in ("ground", "world")
     )
@@ -110,7 +110,9 @@ def in_world(obstacle: dict[str, Any]) -> np.ndarray:
     return np.c_[contour, np.ones(len(contour))] @ affine
 
 
-def test_each_frame_replaces_the_previous_one(driven_results: Path, tmp_path: Path) -> None:
+def test_messages_of_each_frame_replace_those_of_the_previous_one(
+    driven_results: Path, tmp_path: Path
+) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     stamps = [frame.row["stamp_ns"] for frame in frames]
     for topic in (TF, SCENE, BOXES):

@@ -57,7 +57,7 @@ def test_noise_has_little_influence_on_the_plane(noise):
     assert_found(fit, pose, angle=0.25, height=6.0)
 
 
-def test_level_floor_is_exact():
+def test_the_floor_of_a_level_camera_is_exact():
     """For a level camera 500 mm up, floor cells are 500 below it at any depth."""
     z = np.zeros((120, 160), np.int32)
     v = np.arange(61, 120)
@@ -105,7 +105,7 @@ def test_floor_is_found_by_a_level_camera_that_sees_little_of_it(pose, room):
 
 
 def test_a_plane_through_a_room_is_not_a_floor():
-    """Hardly any floor is visible: a steep plane through wall and furniture has more inliers."""
+    """Hardly any floor is visible; a steep plane through wall and furniture has more inliers."""
     room: list[Box] = [((-4, 4.2, 0), (4, 4.3, 3)), ((0.3, 2.4, 0), (1.7, 3.2, 0.72))]
     room.append(((-2.2, 2.8, 0), (-0.4, 3.2, 1.2)))
     fit = found(measured(cast(Pose(1.06, -3.0, 2.0), room)), unknown_plane(1))
@@ -135,7 +135,7 @@ def test_table_without_floor_is_refused_if_something_is_visible_below_it():
 def test_reflections_do_not_lead_to_refusal(known, columns):
     """A glossy floor shows mirrored lamps below itself.
 
-    With a prior, up to 14 % of the cells are reflections, without one 4 %; far fewer than inliers.
+    With a prior, up to 14 % of the cells are reflections, without one 4 %: far fewer than inliers.
     """
     pose = Pose(0.6, 20.0, 0.0)
     z = cast(pose, BOXES)
@@ -171,7 +171,7 @@ def test_a_camera_on_its_side_is_refused_without_a_prior():
     assert_refused(alone, Refusal.FAR, unknown_plane(1))
 
 
-def test_a_wall_close_ahead_leaves_too_little_floor():
+def test_the_floor_before_a_close_wall_is_refused_as_too_little():
     pose = Pose(0.5, 5.0, 0.0)
     wall: list[Box] = [((-4, 1.1, 0), (4, 1.2, 3))]
     fit = found(measured(cast(pose, wall)), unknown_plane(1))

@@ -1,4 +1,7 @@
-"""footprint: examples by hand, and kernel against reference; rectangles: ``test_metric.py``."""
+"""footprint: examples by hand, and comparison of kernel and reference.
+
+Rectangles are tested in ``tests/test_metric.py``.
+"""
 
 from dataclasses import replace
 
@@ -38,7 +41,7 @@ def measure(backend, x, z, labels, config=CONFIG):
 
 
 @BACKENDS
-def test_extents_and_points_by_hand(backend):
+def test_extents_and_points_of_obstacles_match_a_hand_calculation(backend):
     found = measure(backend, [-300, 0, 200, 999], [1500, 1000, 1400, 700], [0, 0, 0, -1])
     assert np.asarray(found.num_points)[0].tolist() == [3, *[0] * (SLOTS - 1)]
     assert np.asarray(found.xyz_min)[0, 0].tolist() == [-300, 0, 1000]
@@ -126,7 +129,7 @@ def outline(trim=0, side=0.0, near=0.0):
         (outline(trim=2, side=0.04, near=0.035), -120, 110, 1030),
     ],
 )
-def test_trimming_and_medians_by_hand(backend, settings, a, b, c):
+def test_trimmed_points_and_medians_match_a_hand_calculation(backend, settings, a, b, c):
     x = np.arange(32) * 10 - 160
     z = 1000 + 10 * ((np.arange(32) * 7) % 32)
     found = measure(backend, x, z, [0] * 32, config=replace(CONFIG, footprint=settings))

@@ -85,7 +85,7 @@ def test_floor_behind_an_obstacle_is_not_free() -> None:
 
 
 def test_the_nearest_obstacle_of_the_column_ends_the_floor() -> None:
-    """An object above the floor is nearer than the floor below it in the image."""
+    """An object that hangs above the floor is nearer than the floor that is seen below it."""
     line, end = found(column(*floor(500, 900, 1300, 1700), "1800", "1000"))
     assert end == [FreeEnd.OBSTACLE] and line[0].tolist() == [[0, 500], [0, 1000]]
 
@@ -139,13 +139,13 @@ def test_floor_ends_at_a_step_down() -> None:
 
 
 def test_a_wall_below_a_step_may_reach_the_height_of_the_floor() -> None:
-    """A wall of a lower room has cells at the height of the floor that are about as far."""
+    """Cells of a wall in a lower room are at the height of the floor, as far as those below."""
     wall = column(*floor(500, 900, 1300), (4200, -300), (4400, -290), (4600, -280), (3900, 0))
     _, end = found(*[wall] * WIDE)
     assert end == [FreeEnd.DROP] * WIDE
 
 
-def test_a_narrow_drop_is_a_reflection() -> None:
+def test_a_narrow_drop_counts_as_a_reflection() -> None:
     """If at most half of a column and its neighbours drop, the reason of the end is unknown."""
     plain = column(*floor(500, 900, 1300, 1700, 2100, 2500), None)
     _, end = found(*[plain] * NEIGHBOURS, *[STEP_DOWN] * NEIGHBOURS, *[plain] * NEIGHBOURS)

@@ -243,7 +243,7 @@ def test_each_key_of_the_summary_is_explained():
     assert [key for key in keys if f"`{key}`" not in text] == []
 
 
-def test_pages_referred_to_exist():
+def test_pages_that_texts_refer_to_exist():
     found = pages()
     assert {*found} == {path.stem for path in (ROOT / "jaxdet/help").glob("*.md")}
     for path in DOCUMENTS.values():

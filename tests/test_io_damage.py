@@ -138,7 +138,7 @@ def test_flipped_bytes_without_crc_give_frames_or_a_clear_error(tmp_path, use_ch
             assert "\n" not in str(error)
 
 
-def test_a_damaged_length_is_skipped_by_the_index(tmp_path):
+def test_a_record_with_a_damaged_length_is_skipped_with_the_index(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE, chunk_size=6000)
     data, chunks = bytearray(path.read_bytes()), chunk_index(path)
     struct.pack_into("<Q", data, chunks[4].chunk_start_offset + 1, 2**64 - 1)
@@ -259,7 +259,7 @@ def test_records_beyond_the_end_of_their_chunk_are_dropped():
         list(chunk_records(flood))
 
 
-def test_a_large_chunk_is_rejected_with_the_name_of_the_flag(tmp_path):
+def test_the_error_for_a_large_chunk_names_the_flag(tmp_path):
     scene = make_scene(260)
     path = write_log(tmp_path / "x.mcap", scene, compression="none", chunk_size=1 << 22)
     with open_log(str(path)) as log:

@@ -176,7 +176,7 @@ def test_unsupported_encodings_are_named(tmp_path, encoding):
         open_log(str(tmp_path / "log.mcap"), LogOptions(color=DEPTH))
 
 
-def test_zero_timestamps_become_log_times_and_frames_are_sorted(tmp_path):
+def test_zero_timestamps_are_replaced_by_log_times_and_frames_are_sorted(tmp_path):
     scene = make_scene(3)
     with LogFile(tmp_path / "zero.mcap") as log:
         write_calibration(log)

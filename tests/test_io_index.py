@@ -375,7 +375,7 @@ def test_notes_of_batches_add_up_for_any_batch_size(tmp_path):
             assert totals[0] == totals[1] == totals[2]
 
 
-def test_transforms_that_change_late_or_are_rare_are_not_constant(tmp_path, monkeypatch):
+def test_transforms_that_change_late_or_are_rare_are_not_taken_for_constant(tmp_path, monkeypatch):
     """A sample of the transforms would show them as constant, or one of them only once."""
     monkeypatch.setattr(indexed, "_MAX_MOTIONS", 10)
     monkeypatch.setattr(indexed, "FIRST_MOTIONS", 4)

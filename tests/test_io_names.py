@@ -296,7 +296,7 @@ def test_neighbouring_splits_continue_where_the_log_ends(tmp_path):
         ([0], [(0, 1), (1, 2), (2000, 2001), (2001, 2002)], "KKKK", [1]),
     ],
 )
-def test_a_neighbouring_split_is_used_only_if_all_nearer_ones_are(
+def test_a_neighbouring_split_is_used_only_if_all_nearer_ones_are_used(
     tmp_path, monkeypatch, own, spans, matrices, neighbours
 ):
     """For splits without images or a calibration, the values of the next nearer split are compared.

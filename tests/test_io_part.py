@@ -76,7 +76,7 @@ def test_invalid_times_are_errors_that_name_the_flag(text):
         LogOptions(stop=text)
 
 
-def test_every_must_be_at_least_1():
+def test_the_flag_every_must_be_at_least_1():
     with pytest.raises(ConfigError, match="--every must be at least 1"):
         LogOptions(every=0)
 

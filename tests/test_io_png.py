@@ -46,7 +46,7 @@ def filtered(samples: bytes, height: int, step: int, filters: list[int]) -> byte
 
 
 def chunks(items: list[tuple[bytes, bytes]]) -> bytes:
-    """Return a file of these chunks."""
+    """Return a PNG file with these chunks."""
     parts = (struct.pack(">I", len(data)) + name + data for name, data in items)
     checks = (struct.pack(">I", zlib.crc32(name + data)) for name, data in items)
     return MAGIC + b"".join(a + b for a, b in zip(parts, checks, strict=True))

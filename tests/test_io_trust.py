@@ -232,7 +232,7 @@ def test_given_intrinsics_override_changing_calibrations(tmp_path):
 
 
 def drive(path: Path, start: int, K: tuple[float, ...] = COLOR_K, count: int = 3) -> None:
-    """Write a log that begins at a time."""
+    """Write a log that begins at the time ``start`` [ns]."""
     shift = start - START
     scene = make_scene(count)
     with LogFile(path) as log:

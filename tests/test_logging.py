@@ -28,7 +28,7 @@ def level() -> Iterator[None]:
         (["-q", "-vv"], False, False),
     ],
 )
-def test_flags_set_the_level(
+def test_flags_set_the_logging_level(
     flags: list[str],
     info: bool,
     debug: bool,

@@ -229,7 +229,7 @@ def drawn(things: list[tuple]) -> Picture:
 
 
 @given(spans)
-def test_numbers_are_sorted_by_the_nearest_point_without_gaps(things: list[tuple]) -> None:
+def test_obstacles_are_numbered_without_gaps_by_their_nearest_point(things: list[tuple]) -> None:
     picture = drawn(things)
     label = picture.found()
     count = label.max() + 1

@@ -131,7 +131,7 @@ def test_free_cells_are_counted_once_per_frame_in_any_order() -> None:
     assert a.free[int(row), int(column)] == 2
 
 
-def test_a_cell_may_be_occupied_and_free() -> None:
+def test_a_map_cell_may_be_counted_as_occupied_and_as_free() -> None:
     grid = OccupancyMap()
     grid.add(square(0.3, 0.3))
     near, far = fan(0.0, 0.0, 0.5), fan(1e12, 1e12, 0.5)

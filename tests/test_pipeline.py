@@ -66,7 +66,7 @@ def test_backends_are_equal_on_a_recording(device, shared_data, name):
 
 
 @pytest.mark.parametrize("name", ["wheeled", "paper"])
-def test_a_large_batch_equals_the_reference_twice(device, name):
+def test_two_runs_of_a_large_batch_equal_the_reference(device, name):
     """Synthetic frames are repeated; two runs give equal bytes."""
     given, config = made_frames(16), PRESETS[name]
     rows = np.arange(512) % 16
@@ -115,7 +115,7 @@ def test_floors_and_detections_without_jax_equal_those_of_the_reference():
     assert_equal(found, detect(given, backend="reference", with_cells=True))
 
 
-def test_detections_of_paper_without_jax_have_points():
+def test_detections_of_the_preset_paper_without_jax_have_points():
     found = detect_on_cpu(made_frames(2), preset("paper"), backend="jax")
     assert found.points is not None
     assert_equal(found, detect(made_frames(2), preset("paper")))
@@ -165,7 +165,7 @@ def other_settings(config: Config) -> Config:
     ("name", "program"), [("wheeled", _detect._detect), ("paper", _paper._detect)]
 )
 def test_settings_and_calibration_are_not_compile_time_constants(device, name, program):
-    """Another camera of the same size and other lengths must not compile the program again."""
+    """A calibration of the same image size and other settings do not compile the program again."""
     given, config = made_frames(3), PRESETS[name]
     detect(given, config)
     compiled = cast(Any, program)._cache_size

@@ -44,7 +44,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_results(tmp_path_factory.mktemp("reading"))
 
 
-def test_reading_holds_one_row_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reading_holds_one_row_group_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The number of row groups does not matter."""
     monkeypatch.setattr(writer, "ROWS_PER_GROUP", 1024)
     with Results(make_results(tmp_path / "out", {"a": 40 * 1024})) as results:

@@ -171,7 +171,7 @@ def test_a_scene_shows_free_floor_and_drops() -> None:
 
 
 def test_free_floor_is_drawn_only_between_adjacent_rays() -> None:
-    """It is interrupted at rays without free floor."""
+    """The drawn floor is interrupted at rays without free floor."""
     free, ahead = np.zeros((1, RAYS, 2), np.int32), RAYS // 2
     free[0, ahead : ahead + 41] = free[0, ahead - 40] = 500, 2000
     image = np.zeros((200, 200, 3), np.uint8)
@@ -211,7 +211,7 @@ def test_map_shows_free_cells() -> None:
     assert columns.max() < 0.6 * image.shape[1]
 
 
-def test_map_has_y_up_and_the_trajectory(tmp_path: Path) -> None:
+def test_the_map_has_y_up_and_shows_the_trajectory(tmp_path: Path) -> None:
     counts = np.zeros((40, 80), np.int32)
     counts[30:40, 60:80] = 7  # large X, large Y: upper right
     counts[0, 0] = 1

@@ -36,7 +36,7 @@ CAMERA = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
 
 
 def points_of(depth, camera):
-    """Return camera points ``(H, W, 3)``."""
+    """Return the points of a depth image in the camera frame, ``(H, W, 3)``."""
     return rays_of(camera, np.eye(4)) * depth[..., None]
 
 

@@ -74,8 +74,8 @@ def test_objects_do_not_intersect(family):
         assert in_each_other(scene, times) == [], seed
 
 
-def test_objects_intersect_before_they_are_moved_apart():
-    """Otherwise the test above would be trivial."""
+def test_random_objects_intersect_unless_they_are_moved_apart():
+    """Otherwise ``test_objects_do_not_intersect`` could not fail."""
     drawn = [draw_scene(family, seed) for family in ("room", "tables") for seed in range(5)]
     assert sum(bool(in_each_other(scene)) for scene in drawn) >= 3
 
@@ -146,7 +146,7 @@ def test_boxes_that_touch_do_not_intersect_and_contained_ones_do():
     assert intersect(base, adjacent, CLEAR_M) and not intersect(base, on_top, CLEAR_M)
 
 
-def test_distance_of_polygons_by_hand():
+def test_distances_of_polygons_match_a_hand_calculation():
     turned = SQUARE @ np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
     assert gap(SQUARE, SQUARE + (2.5, 0.3)) == pytest.approx(0.5)
     assert gap(SQUARE, SQUARE + (1.9, 0.3)) == pytest.approx(-0.1)

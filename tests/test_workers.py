@@ -119,7 +119,7 @@ def plain_run(sim_logs: list[Path], tmp_path_factory: pytest.TempPathFactory) ->
     return folder / "a"
 
 
-def test_bytes_depend_on_neither_workers_nor_batch(sim_logs, tmp_path):
+def test_results_depend_on_neither_workers_nor_batch_size(sim_logs, tmp_path):
     ways: list[Any] = [(1, 512), (2, 1), (2, 5)]
     summaries = []
     observers = {"score": TruthScore(sim_logs[0], Config())}
@@ -335,7 +335,7 @@ def test_units_contain_each_frame_once(frames, workers):
 
 
 @pytest.mark.parametrize(("preset", "workers", "size"), [("wheeled", 3, 4), ("paper", 1, 5)])
-def test_a_device_server_returns_equal_bytes(
+def test_results_with_a_device_server_equal_those_of_one_process(
     sim_logs, tmp_path, monkeypatch, preset, workers, size
 ):
     config = PRESETS[preset]
@@ -573,7 +573,7 @@ def test_a_signal_just_before_workers_start_does_not_hang(monkeypatch):
 
 @pytest.mark.parametrize("deaths", [2, 4])
 def test_workers_start_again_once_if_the_fork_server_dies_while_they_start(monkeypatch, deaths):
-    """pytest turns an exception that leaves a thread into a failure."""
+    """If an exception leaves a thread, pytest fails the test."""
     begin, left = BaseProcess.start, iter(range(deaths))
 
     def start(self: Any) -> None:

@@ -196,5 +196,5 @@ def test_scenes_can_be_assembled_from_points(made, tmp_path):
     assert scene.polygons is not None and scene.polygons[0].name == "chair"
     assert scene.polygons[0].points.tolist() == [[10, 20], [40, 20], [40, 60], [10, 60]]
     assert scene.down == pytest.approx([0, math.cos(lean), math.sin(lean)])
-    with pytest.raises(InputError, match="the recipe wants commit abc"):
+    with pytest.raises(InputError, match="the recipe is for commit abc"):
         script.copy_files({**source, "files": {"image": "none"}}, tmp_path, tmp_path / "other")

@@ -58,7 +58,7 @@ class Found(NamedTuple):
 
 
 class FreeFloor(NamedTuple):
-    """Free floor of ``B`` frames, and their obstacles including those in its notches."""
+    """Free floor of ``B`` frames, and their obstacles with those in notches of the free floor."""
 
     found: list[Found]
     first_notch: np.ndarray  # (B,) int32, number of the first obstacle found in a notch
@@ -72,7 +72,7 @@ def detect(
     """Find floor, surfaces, obstacles, their outlines and the free floor of each frame.
 
     Only depth is read; the preset ``paper`` (``cluster.points``,
-    :func:`jaxdet.reference.paper._detect.clusters`) reads colour too.
+    :func:`jaxdet.reference.paper.detect`) reads colour too.
 
     Args:
         frames: ``B`` frames; their ``plane`` is not used.

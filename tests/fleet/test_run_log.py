@@ -1,4 +1,4 @@
-"""Running of logs between folders and buckets, with the stub of the engine."""
+"""Runs of logs from folders and buckets to folders and buckets, with the stub of the engine."""
 
 import json
 import os

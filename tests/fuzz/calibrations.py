@@ -145,7 +145,7 @@ def _changed_camera(camera: Camera, random: Random) -> tuple[Camera, str]:
 
 
 def changed(way: str, random: Random) -> tuple[Made, str]:
-    """Change one to three parts of a calibration that ``way`` uses; return it and their names."""
+    """Return a calibration with one to three changed parts, and their names; ``way`` uses them."""
     made, names = PLAIN, []
     for _ in range(random.choice((1, 1, 2, 3))):
         part = random.choice(USED[way])

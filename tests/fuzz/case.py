@@ -24,7 +24,7 @@ FAILURES = {
 
 
 class Verdict(NamedTuple):
-    """How a case ended."""
+    """Verdict on a case: how it ended."""
 
     kind: str
     """``clean``, ``error``, another acceptable end, or one of :data:`FAILURES`."""
