@@ -467,9 +467,9 @@ def test_a_killed_worker_of_a_device_loses_no_frames(sim_logs, plain_run, tmp_pa
 
 
 @pytest.mark.parametrize(("flag", "value"), [("workers", 0), ("batch_size", 0)])
-def test_workers_and_batch_size_must_be_at_least_1(tmp_path, flag, value):
+def test_workers_and_batch_size_must_be_at_least_1(flag, value):
     with pytest.raises(ConfigError, match=f"--{flag.replace('_', '-')}.* 1 "):
-        engine.RunOptions(tmp_path, **{flag: value})
+        engine.RunOptions(**{flag: value})
 
 
 def alive(pid: int) -> bool:

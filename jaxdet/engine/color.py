@@ -9,7 +9,7 @@ from jaxdet.config import Config
 from jaxdet.types import Frames
 
 if TYPE_CHECKING:
-    from jaxdet.engine.plan import Observer
+    from jaxdet.engine.settings import Observer
 
 
 def method_frames(frames: Frames, config: Config) -> Frames:

@@ -238,7 +238,8 @@ class UnitJob(NamedTuple):
     @contextmanager
     def open(self, process: WorkerProcess) -> Iterator[Callable[[Unit], UnitResult]]:
         """Return the function that processes a unit."""
-        device = process.device(self.served, self.plan.config, self.plan.backend)
+        settings = self.plan.settings
+        device = process.device(self.served, settings.config, settings.options.backend)
         work = UnitProcessor(self.log, self.plan, device, process.report_progress)
         with closing(self.log):
             yield partial(work.mark_lost, lost=self.lost) if self.lost else work.process_unit

@@ -40,6 +40,7 @@ LOGGER = logging.getLogger("jaxdet")
 def run_logs(
     settings: RunSettings,
     logs: Sequence[LogFiles],
+    place: Path,
     pool: Pool,
     progress: ProgressCallback | None,
 ) -> Summary:
@@ -48,11 +49,12 @@ def run_logs(
     Args:
         settings: Settings of the run.
         logs: Logs of the run.
+        place: Folder for the results.
         pool: Worker processes.
         progress: Called after each unit and each log.
     """
     start, options, resources = time.perf_counter(), settings.options, None
-    with OutputFolder(options.output, settings.record, options) as output:
+    with OutputFolder(place, settings.record, options) as output:
         done = output.begin(logs)
         kept = frozenset(done)
         left = {log.name: log for log in logs if log.name not in kept}

@@ -102,10 +102,10 @@ class UnitProcessor:
 
     def _batches(self, units: Iterable[Unit]) -> Iterator[tuple["_ResultBuilder", "Batch"]]:
         """Yield the batches of units, each with the builder of its unit's result."""
-        plan = self.plan
-        color = shown_color(plan.config, plan.observers.values(), plan.drawn)
+        plan, settings = self.plan, self.plan.settings
+        color = shown_color(settings.config, settings.observers.values(), plan.drawn)
         given = {"images": self.device.images, "color": color}
-        given["need_color"] = plan.config.cluster.points
+        given["need_color"] = settings.config.cluster.points
         for unit in units:
             builder = _ResultBuilder(plan, unit)
             batches = self.log.batches(plan.batch_size, unit.start, unit.stop, **given)
@@ -165,7 +165,7 @@ class _ResultBuilder:
         """Inputs of the rows of each batch."""
         self.errors: list[str] = []
         self.pictures: list[str] = []
-        self.seen: dict[str, list[Any]] = {name: [] for name in plan.observers}
+        self.seen: dict[str, list[Any]] = {name: [] for name in plan.settings.observers}
 
     def add(self, one: _InFlight, found: Found) -> None:
         """Add a batch and its detections."""
@@ -179,9 +179,9 @@ class _ResultBuilder:
         """Draw the pictures of a batch, and pass the batch to the observers."""
         batch = one.batch
         self.pictures += self._draw(one)
-        if self.plan.observers:
+        if observers := self.plan.settings.observers:
             detections = self._detect(batch.frames._replace(plane=one.plane))
-            for name, observer in self.plan.observers.items():
+            for name, observer in observers.items():
                 self.seen[name].append(observer(batch, detections))
 
     def complete(self) -> UnitResult:
@@ -194,10 +194,10 @@ class _ResultBuilder:
         batches, planes, inputs = zip(*self.held, strict=True)
         batch = batches[0].joined(batches)
         sources = plan.planes.sources(batch.frames.stamp_ns)
-        given = batch, join_planes(planes), sources, joined_inputs(inputs), plan.config
+        given = batch, join_planes(planes), sources, joined_inputs(inputs), plan.settings.config
         rows = batch_rows(plan.log, plan.camera, *given)
         counts.count(rows.frames, rows.obstacles)
-        if plan.maps:
+        if plan.settings.options.map:
             occupancy.add_path(rows.T_world_camera)
             occupancy.add(rows.obstacles["corners_world"])
             occupancy.add_free(rows.free_world)
@@ -209,7 +209,7 @@ class _ResultBuilder:
 
     def _draw(self, one: _InFlight) -> Iterator[str]:
         """Draw the frames of a batch that have pictures; yield the names of the pictures."""
-        plan, frames = self.plan, one.batch.frames
+        plan, config, frames = self.plan, self.plan.settings.config, one.batch.frames
         rows = [row for row, number in enumerate(one.numbers) if number in plan.drawn]
         rows = [row for row in rows if frames.valid[row]]
         if not rows:
@@ -219,11 +219,11 @@ class _ResultBuilder:
         frames = frames._replace(**arrays, plane=plane)
         found = self._detect(frames)
         frames = frames._replace(plane=shown_planes(found, plane, frames.calibration))
-        corners = rectangles(found.obstacles, frames.calibration.depth_unit, plan.config.footprint)
+        corners = rectangles(found.obstacles, frames.calibration.depth_unit, config.footprint)
         for row, number in enumerate(frames.number.tolist()):
             name = f"pictures/{plan.picture}{number:06d}.png"
             title = f"{plan.label}   frame {number}"
-            picture = draw_frame(frames, found, corners, row, plan.config, title)
+            picture = draw_frame(frames, found, corners, row, config, title)
             path = plan.folder / name
             with writing(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -235,6 +235,6 @@ class _ResultBuilder:
 
         This process computes them: the device server returns only what all frames need.
         """
-        config = self.plan.config
+        config, backend = self.plan.settings.config, self.plan.settings.options.backend
         with computing():
-            return detect_on_cpu(method_frames(frames, config), config, backend=self.plan.backend)
+            return detect_on_cpu(method_frames(frames, config), config, backend=backend)
