@@ -31,7 +31,7 @@ WAITING = 2
 NO_PROGRESS_S = 600.0
 """Time without progress after which a worker counts as lost; compiling may take long [s]."""
 LOADED = [
-    *("jaxdet.engine.log_per_worker", "jaxdet.io.opening", "jaxdet.stages._on_cpu"),
+    *("jaxdet.engine.log_job", "jaxdet.io.opening", "jaxdet.stages._on_cpu"),
     *("jaxdet_kernels.decode", "numpy.ma"),
 ]
 LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages.paper._detect"]

@@ -279,11 +279,11 @@ class CameraRun:
         about.warnings += log.description.warnings
         about.notes += log.description.notes
         executor = self.choose(log, self.memory)
-        about.workers, about.devices = executor.workers, executor.devices
+        about.workers, about.devices = executor.share.workers, executor.devices
         self.report(about, log.label, len(log.frames), "looking for the floor")
-        planes = executor.find_planes(log)
-        self.batch = executor.memory.batch
-        plan = self._plan(log, min(executor.together, max(1, len(log.frames))), planes)
+        planes = executor.find_planes()
+        self.batch = executor.share.batch
+        plan = self._plan(log, min(executor.share.read, max(1, len(log.frames))), planes)
         about.ground = plan.planes.records
         about.warnings += plan.planes.warnings
         self._work(log, plan, executor)
@@ -302,10 +302,10 @@ class CameraRun:
         about.warnings += filter(None, own)
 
     def _work(self, log: "Log", plan: LogPlan, executor: Executor) -> None:
-        about, clock = self.about, Clock(self.about, executor.workers)
+        about, clock = self.about, Clock(self.about, executor.share.workers)
         count = len(log.frames)
         self.report(about, log.label, count, "starting")
-        with closing(executor.work(log, plan)) as parts:
+        with closing(executor.work(plan)) as parts:
             for unit, part in parts:
                 self.assembly.add(unit, part)
                 clock.tick()

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -10,11 +11,12 @@ from typing import Any
 
 from jaxdet.config import Config
 from jaxdet.config_file import find_config
+from jaxdet.engine.executors import choose_executor
 from jaxdet.engine.options import RunOptions
+from jaxdet.engine.placement import Machine
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.process_log import no_report, process_log
 from jaxdet.engine.progress import ProgressCallback
-from jaxdet.engine.resources import Resources
 from jaxdet.engine.scheduler import check_outside, make_summary, run_logs
 from jaxdet.engine.settings import Observer, RunSettings, make_settings
 from jaxdet.errors import ConfigError
@@ -144,15 +146,15 @@ class Runner:
         """
         start = time.perf_counter()
         check_outside(folder, [files])
-        resources = Resources(settings, self._pool)
+        machine = Machine(settings, self._pool)
         try:
             with stops_raised():
-                given = resources.memory, resources.choose, no_report
+                given = machine.memory, partial(choose_executor, machine), no_report
                 logs = process_log(settings, files, folder, *given)
         except BaseException:
             self.close()
             raise
-        return make_summary(settings, resources, logs, start)
+        return make_summary(settings, machine, logs, start)
 
 
 def _find(logs: Logs) -> list[LogFiles]:

@@ -13,6 +13,7 @@ from jaxdet.engine.device import Device, Found
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.startup import computing
 from jaxdet.engine.unit_result import UnitResult, rows_path
+from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import join_planes
 from jaxdet.pipeline import detect_on_cpu
 from jaxdet.render import draw_frame, write_png
@@ -32,7 +33,6 @@ from jaxdet.results.tables import Tables
 from jaxdet.types import Detections, Frames, GroundPlane
 
 if TYPE_CHECKING:
-    from jaxdet.engine.worker import Lost
     from jaxdet.io import Batch, Log
 
 
@@ -80,26 +80,6 @@ class UnitProcessor:
                 with suppress(Exception):
                     self.device.finish(one.started)
 
-    def mark_lost(self, unit: Unit, lost: "Lost") -> UnitResult:
-        """Return the result of a unit that can't be processed: rows with a status, no obstacles.
-
-        No image is read.
-
-        Args:
-            unit: The unit.
-            lost: Status of its frames, and the reason.
-        """
-        plan, builder = self.plan, _ResultBuilder(self.plan, unit)
-        numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
-        for first in range(0, len(numbers), plan.batch_size):
-            some = numbers[first : first + plan.batch_size]
-            batch = self.log.without_images(some, lost.status, lost.reason)
-            plane = plan.planes.of(batch.frames.stamp_ns)
-            one = _InFlight(builder, some, batch, plane, None)
-            builder.add(one, Found(no_inputs(len(some))))
-        text = f"{plan.where(unit)}: {lost.status} ({lost.reason})"
-        return builder.complete()._replace(errors=[], lost=text)
-
     def _batches(self, units: Iterable[Unit]) -> Iterator[tuple["_ResultBuilder", "Batch"]]:
         """Yield the batches of units, each with the builder of its unit's result."""
         plan, settings = self.plan, self.plan.settings
@@ -140,6 +120,31 @@ class UnitProcessor:
             return function(*args)
         finally:
             self._busy[what] += time.perf_counter() - start  # pyright: ignore
+
+
+def lost_unit(
+    log: "Log", plan: LogPlan, unit: Unit, status: FrameStatus, reason: str
+) -> UnitResult:
+    """Return the result of a unit whose workers were lost: rows with a status, no obstacles.
+
+    No image is read.
+
+    Args:
+        log: Open log.
+        plan: Plan of the log.
+        unit: The unit.
+        status: Status of its frames.
+        reason: Reason of the status.
+
+    Raises:
+        OutputError: The disk is full or broken.
+    """
+    numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
+    batch, builder = log.without_images(numbers, status, reason), _ResultBuilder(plan, unit)
+    one = _InFlight(builder, numbers, batch, plan.planes.of(batch.frames.stamp_ns), None)
+    builder.add(one, Found(no_inputs(len(numbers))))
+    text = f"{plan.where(unit)}: {status} ({reason})"
+    return builder.complete()._replace(errors=[], lost=text)
 
 
 class _InFlight(NamedTuple):

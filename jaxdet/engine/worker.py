@@ -17,8 +17,8 @@ from contextlib import AbstractContextManager, ExitStack, suppress
 from multiprocessing.connection import wait
 from typing import Any, NamedTuple, Protocol
 
-from jaxdet.config import Config
 from jaxdet.engine.device import Device, OwnDevice, SharedDevice, out_of_memory
+from jaxdet.engine.settings import RunSettings
 from jaxdet.engine.shared_slots import ServerConfig, ServerPipe
 from jaxdet.engine.startup import start_reading, start_up
 from jaxdet.errors import FrameStatus, JaxdetError, WorkerError
@@ -209,16 +209,15 @@ class WorkerProcess:
             self._next_report = now + _ALIVE_S
             self._pipe.send(_ALIVE)
 
-    def device(self, served: ServerConfig | None, config: Config, backend: BackendName) -> Device:
+    def device(self, served: ServerConfig | None, settings: RunSettings) -> Device:
         """Return the device that computes.
 
         Args:
             served: Configuration of the device server; None if this process computes itself.
-            config: The method's parameters.
-            backend: Backend of this process.
+            settings: Settings of the run.
         """
         if served is None:
-            return OwnDevice(config, backend, ahead=0)
+            return OwnDevice(settings.config, settings.options.backend, ahead=0)
         if self._shared is None or self._shared.served != served:
             assert self._server_pipe is not None
             self._shared = SharedDevice(served, self._server_pipe)
