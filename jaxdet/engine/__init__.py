@@ -10,8 +10,8 @@ Each module calls those below it::
     placement, memory            decision which processes work on a log; what fits into memory
     pool, worker, tasks          worker processes, whose tasks are units of a log, or whole logs
     unit, unit_result            processing of a unit: frames are read, computed, made into rows
-    device                       where a batch is computed: in this process, or by the device server
-    device_server, device_queue, shared_slots   the process with the GPUs, which serves all workers
+    device                       where a batch is computed: in this process, or by its parent's GPUs
+    gpu_threads, gpu, slots      GPUs of the first process, which compute for all workers
 
 A small log is processed by one worker, a large log by all workers::
 

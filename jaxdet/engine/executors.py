@@ -13,7 +13,7 @@ from jaxdet.engine.placement import Machine, Share
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.settings import RunSettings
-from jaxdet.engine.shared_slots import ServerConfig
+from jaxdet.engine.slots import Served
 from jaxdet.engine.startup import start_up
 from jaxdet.engine.tasks import UnitQueue
 from jaxdet.engine.unit import UnitProcessor, lost_unit
@@ -109,7 +109,7 @@ class InPool:
         self.settings, self.log, self.share, self.pool = settings, log, share, pool
         self.devices, self._room = len(pool.devices), share.read
         if served := self._serve():
-            self.share = share._replace(batch=served.batch, read=served.slots.frames)
+            self.share = share._replace(batch=served.batch, read=served.frames)
 
     def find_planes(self) -> Planes:
         """Find the floors in a worker, as frames of a damaged log may kill the process.
@@ -158,11 +158,11 @@ class InPool:
         return lost_unit(self.log, plan, unit, found.status, reason)
 
     def _job(self, plan: LogPlan) -> "UnitJob":
-        """Return the job that processes units, with the current device server."""
+        """Return the job that processes units, with the current memory of the GPUs."""
         return UnitJob(self.log, plan, self._serve())
 
-    def _serve(self) -> ServerConfig | None:
-        """Return the configuration of the device server, which is started; None without GPUs."""
+    def _serve(self) -> Served | None:
+        """Let GPUs compute for the workers; return what they compute, or None without GPUs."""
         if not self.pool.devices:
             return None
         settings = self.settings
@@ -191,8 +191,8 @@ class UnitJob(NamedTuple):
     log: "Log"
     """Open log; it is sent with its index but without the content of its files."""
     plan: LogPlan
-    served: ServerConfig | None
-    """Configuration of the device server; None if workers compute."""
+    served: Served | None
+    """What GPUs compute; None if workers compute."""
 
     @contextmanager
     def open(self, process: WorkerProcess) -> Iterator[Callable[[Unit], UnitResult]]:

@@ -34,9 +34,7 @@ def _frames(images: list[Any], served: Served, plane: GroundPlane) -> Frames:
     depth, *color = images
     nothing = np.zeros(len(depth), np.int64)
     known = nothing, nothing, nothing > 0
-    return Frames(
-        depth, served.calibration, *known, color=color[0] if color else None, plane=plane
-    )
+    return Frames(depth, served.calibration, *known, color=color[0] if color else None, plane=plane)
 
 
 @dataclass

@@ -19,6 +19,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import chain
 from math import prod
 from multiprocessing import Pipe
 from typing import TYPE_CHECKING, Any
@@ -146,7 +147,7 @@ class GpuThreads:
                 copying, computing = copied, copying
             except Exception as error:
                 batches = [batch.pieces for batch in (computing, copying) if batch]
-                left.extendleft(reversed([*sum(batches, []), *new]))
+                left.extendleft(reversed([*chain(*batches), *new]))
                 copying = computing = None
                 if gpu:
                     gpu.close()

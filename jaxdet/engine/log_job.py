@@ -19,7 +19,7 @@ from jaxdet.engine.worker import WorkerProcess
 from jaxdet.results.summary import LogSummary
 
 if TYPE_CHECKING:
-    from jaxdet.engine.shared_slots import ServerConfig
+    from jaxdet.engine.slots import Served
     from jaxdet.io import Log, LogFiles
 
 
@@ -39,8 +39,8 @@ class LogJob(NamedTuple):
     """Memory of the run, of which each worker takes its share."""
     devices: int
     """Number of GPUs."""
-    served: "ServerConfig | None"
-    """Configuration of the device server; None if workers compute."""
+    served: "Served | None"
+    """What GPUs compute; None if workers compute."""
 
     @contextmanager
     def open(self, process: WorkerProcess) -> Iterator[Callable[[LogTask], Any]]:
@@ -53,8 +53,8 @@ class LogJob(NamedTuple):
         """Write the results of a log, see :func:`jaxdet.engine.process_log.process_log`.
 
         Returns:
-            The summaries of its cameras; an error if the device server doesn't serve its camera;
-            None if the first process has to process the log.
+            The summaries of its cameras; an error if GPUs don't compute for its camera; None if
+            the first process has to process the log.
         """
         try:
             given = self.memory, partial(self.choose, process), no_report

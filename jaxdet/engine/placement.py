@@ -10,8 +10,8 @@ Logs                                                    Processes
 few bytes together, or one log of few frames            this process alone, if no workers run yet
 many logs, except the largest                           each log by one worker, one after the other
 the largest logs; a single log                          all workers share the frames of a log
-the first log of each camera on GPUs, for which the     all workers; then those of the same camera
-device server is started                                by one worker each
+the first log of each camera on GPUs, which compute     all workers; then those of the same camera
+for one camera at a time                                by one worker each
 logs that need more than a worker's share of memory     fewer workers, or this process alone
 logs of a run after one that was killed                 workers, even a single one: a log may have
                                                         killed it
@@ -40,7 +40,7 @@ from jaxdet.results.writer import ROWS_PER_GROUP
 from jaxdet.types import Calibration
 
 if TYPE_CHECKING:
-    from jaxdet.engine.shared_slots import ServerConfig
+    from jaxdet.engine.slots import Served
     from jaxdet.io import Log, LogFiles
 
 LOGGER = logging.getLogger("jaxdet")
@@ -69,7 +69,7 @@ class Share(NamedTuple):
 
 
 class OtherCameraError(Exception):
-    """The device server doesn't serve the camera of a log."""
+    """GPUs compute for another camera than that of a log."""
 
     def __init__(self, calibration: Calibration) -> None:
         super().__init__(calibration)
@@ -128,7 +128,7 @@ class Machine:
 
 
 def share_of_worker(
-    settings: RunSettings, log: "Log", memory: Memory, served: "ServerConfig | None"
+    settings: RunSettings, log: "Log", memory: Memory, served: "Served | None"
 ) -> Share:
     """Return the placement of a log that a worker has opened, while others work on other logs.
 
@@ -136,17 +136,17 @@ def share_of_worker(
         settings: Settings of the run.
         log: Open log.
         memory: Memory of the run.
-        served: Configuration of the device server; None if workers compute.
+        served: What GPUs compute; None if workers compute.
 
     Raises:
         MemoryError: The log needs more memory than this worker's share.
-        OtherCameraError: The device server serves another camera.
+        OtherCameraError: GPUs compute for another camera.
     """
     if served and log.calibration != served.calibration:
         raise OtherCameraError(log.calibration)
     workers = memory.workers
     plan = memory_plan(settings, log, memory, workers, packing=workers)
-    read = served.slots.frames if served else plan.batch
+    read = served.frames if served else plan.batch
     if plan.workers < workers or plan.batch < read:
         raise MemoryError("not enough for as many logs at a time")
     return Share(1, served.batch if served else plan.batch, read, here=True)

@@ -130,7 +130,7 @@ class Scheduler:
             return True
         served = self.pool.serving
         if served is None or self.pool.count != self.machine.memory.workers:
-            return False  # the next shared log starts a device server for all workers
+            return False  # from the next shared log on, GPUs compute for all workers
         return served.config == self.settings.config and camera in (None, served.calibration)
 
     def _by_workers(

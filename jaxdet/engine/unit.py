@@ -238,7 +238,7 @@ class _ResultBuilder:
     def _detect(self, frames: Frames) -> Detections:
         """Return all detections of frames, not only those that rows are made of.
 
-        This process computes them: the device server returns only what all frames need.
+        This process computes them: GPUs return only what all frames need.
         """
         config, backend = self.plan.settings.config, self.plan.settings.options.backend
         with computing():

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Protocol
 
 from jaxdet.engine.device import Device, OwnDevice, SharedDevice, out_of_memory
 from jaxdet.engine.settings import RunSettings
-from jaxdet.engine.shared_slots import ServerConfig, ServerPipe
+from jaxdet.engine.slots import GpuPipe, Served
 from jaxdet.engine.startup import start_reading, start_up
 from jaxdet.errors import FrameStatus, JaxdetError, WorkerError
 from jaxdet.pipeline import BackendName
@@ -91,7 +91,7 @@ class Worker:
     Args:
         context: Context of :mod:`multiprocessing`, which decides how processes start.
         backend: Backend that computes in the worker.
-        server_pipe: Connection to the device server; None if the worker computes itself.
+        gpu_pipe: Connection to the threads with GPUs; None if the worker computes itself.
 
     Attributes:
         pending: Tasks without an answer, the oldest first.
@@ -99,10 +99,10 @@ class Worker:
         idle_s: Time without a sign of progress while tasks are pending [s].
     """
 
-    def __init__(self, context: Any, backend: BackendName, server_pipe: ServerPipe | None) -> None:
+    def __init__(self, context: Any, backend: BackendName, gpu_pipe: GpuPipe | None) -> None:
         self.pipe, self._theirs = multiprocessing.Pipe()
-        self._server_pipe = server_pipe
-        given = backend, self._theirs, server_pipe
+        self._gpu_pipe = gpu_pipe
+        given = backend, self._theirs, gpu_pipe
         self.process = context.Process(target=_run_worker, args=given, daemon=True)
         self.pending: deque[Any] = deque()
         self.ready, self.idle_s = False, 0.0
@@ -113,8 +113,8 @@ class Worker:
             self.process.start()
         finally:
             self._theirs.close()
-            if self._server_pipe:
-                self._server_pipe.pipe.close()  # so that the server sees when the worker ends
+            if self._gpu_pipe:
+                self._gpu_pipe.pipe.close()  # so that the threads see when the worker ends
 
     def send_job(self, packed: bytes) -> None:
         """Send a pickled :class:`Job`, to which all further tasks belong.
@@ -194,11 +194,11 @@ class WorkerProcess:
 
     Args:
         pipe: Connection to the parent.
-        server_pipe: Connection to the device server; None if this process computes itself.
+        gpu_pipe: Connection to the threads with GPUs; None if this process computes itself.
     """
 
-    def __init__(self, pipe: Any, server_pipe: ServerPipe | None) -> None:
-        self._pipe, self._server_pipe = pipe, server_pipe
+    def __init__(self, pipe: Any, gpu_pipe: GpuPipe | None) -> None:
+        self._pipe, self._gpu_pipe = pipe, gpu_pipe
         self._next_report = 0.0
         self._shared: SharedDevice | None = None
 
@@ -209,18 +209,18 @@ class WorkerProcess:
             self._next_report = now + _ALIVE_S
             self._pipe.send(_ALIVE)
 
-    def device(self, served: ServerConfig | None, settings: RunSettings) -> Device:
+    def device(self, served: Served | None, settings: RunSettings) -> Device:
         """Return the device that computes.
 
         Args:
-            served: Configuration of the device server; None if this process computes itself.
+            served: What GPUs compute; None if this process computes itself.
             settings: Settings of the run.
         """
         if served is None:
             return OwnDevice(settings.config, settings.options.backend, ahead=0)
         if self._shared is None or self._shared.served != served:
-            assert self._server_pipe is not None
-            self._shared = SharedDevice(served, self._server_pipe)
+            assert self._gpu_pipe is not None
+            self._shared = SharedDevice(served, self._gpu_pipe)
         return self._shared
 
 
@@ -250,12 +250,12 @@ class _OpenJob:
         self._context.close()
 
 
-def _run_worker(backend: BackendName, pipe: Any, server_pipe: ServerPipe | None) -> None:
+def _run_worker(backend: BackendName, pipe: Any, gpu_pipe: GpuPipe | None) -> None:
     """Perform tasks until the parent ends this process, or ends."""
     ignore_stops()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _prepare(backend, reads_only=server_pipe is not None)
-    process = WorkerProcess(pipe, server_pipe)
+    _prepare(backend, reads_only=gpu_pipe is not None)
+    process = WorkerProcess(pipe, gpu_pipe)
     job = _OpenJob(b"", process)
     with suppress(EOFError, OSError):
         process.report_progress()
