@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.color import method_frames
 from jaxdet.engine.slots import SLOTS, GpuPipe, Piece, Reply, Served, attached
 from jaxdet.engine.startup import computing
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.results.rows import RowInputs, row_inputs, to_host
-from jaxdet.types import Detections, GroundPlane
+from jaxdet.types import Detections, Frames
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
@@ -27,6 +26,8 @@ class Found(NamedTuple):
 
     inputs: RowInputs
     """Part of the detections from which rows are made."""
+    detections: Detections | None = None
+    """All detections; None from GPUs of another process."""
     busy_s: Mapping[str, float] = MappingProxyType({})
     """Time that other processes spent on the batch, by step, as in
     :attr:`jaxdet.results.summary.Counts.busy_s`."""
@@ -46,13 +47,8 @@ class Device(Protocol):
         """Memory that the next batch is decoded into; None if any memory may be used."""
         ...
 
-    def start(self, batch: "Batch", plane: GroundPlane) -> Any:
-        """Start a batch.
-
-        Args:
-            batch: Frames with images.
-            plane: Prior of each frame's floor.
-        """
+    def start(self, batch: "Batch") -> Any:
+        """Start a batch of frames with images and with the priors of their floors."""
         ...
 
     def finish(self, started: Any) -> Found:
@@ -67,26 +63,45 @@ class OwnDevice:
         config: The method's parameters.
         backend: Backend that computes.
         ahead: See :class:`Device`.
+        with_cells: See :func:`jaxdet.detect`.
     """
 
     images: ImageMemory | None = None
     doing = "compute"
 
-    def __init__(self, config: Config, backend: BackendName, ahead: int) -> None:
+    def __init__(
+        self, config: Config, backend: BackendName, ahead: int = 0, *, with_cells: bool = False
+    ) -> None:
         self.ahead = ahead
         self._config = config
-        self._backend: BackendName = backend
+        self._how: Any = {"backend": backend, "with_cells": with_cells}
 
-    def start(self, batch: "Batch", plane: GroundPlane) -> Detections:
+    def start(self, batch: "Batch") -> Detections:
         """Start a batch."""
-        frames = method_frames(batch.frames._replace(plane=plane), self._config)
+        frames = method_frames(batch.frames, self._config)
         with computing():
-            return detect(frames, self._config, backend=self._backend)
+            return detect(frames, self._config, **self._how)
 
     def finish(self, started: Detections) -> Found:
         """Wait for a batch."""
         with computing():
-            return Found(to_host(row_inputs(started)))
+            detections: Detections = to_host(started)
+        return Found(row_inputs(detections), detections)
+
+
+def method_frames(frames: Frames, config: Config) -> Frames:
+    """Return frames with the images that the method reads.
+
+    By default the method reads only depth. The preset ``paper`` reads colour too; if the log has no
+    colour images, black ones are used, and its frames have the status ``no_color``.
+    """
+    if not config.cluster.points:
+        return frames._replace(color=None)
+    if frames.color is not None:
+        return frames
+    camera = frames.calibration.image
+    black = np.zeros((len(frames.depth), camera.height, camera.width, 3), np.uint8)
+    return frames._replace(color=black)
 
 
 def out_of_memory(error: Exception) -> bool:
@@ -116,10 +131,11 @@ class SharedDevice:
         depth, *color = self._slots[self._first + self._turn].images
         return (depth, color[0]) if color else depth
 
-    def start(self, batch: "Batch", plane: GroundPlane) -> int:
+    def start(self, batch: "Batch") -> int:
         """Start the batch whose images are in the memory that :attr:`images` returned last."""
         slot = self._first + self._turn
-        self._pipe.send(Piece(slot, plane))
+        assert batch.frames.plane is not None
+        self._pipe.send(Piece(slot, batch.frames.plane))
         return slot
 
     def finish(self, started: int) -> Found:
@@ -130,4 +146,5 @@ class SharedDevice:
         reply = self._replies.pop(started)
         if reply.error:
             raise reply.error
-        return Found(self.served.unpacked(self._slots[started].results), reply.busy_s)
+        inputs = self.served.unpacked(self._slots[started].results)
+        return Found(inputs, busy_s=reply.busy_s)
