@@ -252,10 +252,9 @@ class Pool:
                     for number, worker in enumerate(self._workers):
                         more = len(tasks) > len(self._workers) * (most > 1)
                         if more and len(worker.pending) < most:
-                            if worker not in opened:
-                                opened.add(worker)
-                                worker.send_job(packed)
-                            worker.send_task(tasks.take(number))
+                            first = worker not in opened
+                            opened.add(worker)
+                            worker.send(tasks.take(number), packed if first else b"")
                 if not any(worker.pending for worker in self._workers):
                     return
                 for worker, found in self._poll():

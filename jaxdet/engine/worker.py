@@ -1,7 +1,8 @@
 """Worker processes: the code that runs in them, and their handles in the process that starts them.
 
-A worker gets a job, which holds the data that several tasks share (an open log, for instance), then
-tasks one by one, and answers each task. It ends when its parent ends, for any reason.
+A worker gets tasks one by one, and answers each. With the first task of a job it gets the job,
+which holds the data that its tasks share (an open log, for instance). It ends when its parent ends,
+for any reason.
 """
 
 import multiprocessing
@@ -27,8 +28,6 @@ from jaxdet.signals import ignore_stops
 
 _ALIVE, _ALIVE_S = "alive", 1.0
 """Message that reports progress, and the minimum time between two such messages [s]."""
-_JOB = "job"
-"""Message that precedes a pickled job."""
 
 
 class Job(Protocol):
@@ -73,12 +72,6 @@ class Lost(NamedTuple):
         return WorkerError(f"{where}: {self.reason}", remedy=remedy)
 
 
-class _Task(NamedTuple):
-    """Message to a worker."""
-
-    task: Any
-
-
 class _Answer(NamedTuple):
     """Message from a worker."""
 
@@ -116,24 +109,21 @@ class Worker:
             if self._gpu_pipe:
                 self._gpu_pipe.pipe.close()  # so that the threads see when the worker ends
 
-    def send_job(self, packed: bytes) -> None:
-        """Send a pickled :class:`Job`, to which all further tasks belong.
+    def send(self, task: Any, job: bytes = b"") -> None:
+        """Send a task, whose data must be small.
 
-        The call waits until the worker has read the job, so no task may be pending.
+        Args:
+            task: The task.
+            job: Pickled :class:`Job` to which this and all further tasks belong; empty if it was
+                sent with an earlier task. The call waits until the worker has read the job, so no
+                task may be pending.
         """
-        assert not self.pending
-        self._send(_JOB)
-        with suppress(OSError):  # it has died, which receive() reports
-            self.pipe.send_bytes(packed)
-
-    def send_task(self, task: Any) -> None:
-        """Send a task of the most recently sent job; its data must be small."""
+        assert not (job and self.pending)
         self.pending.append(task)
-        self._send(_Task(task))
-
-    def _send(self, message: Any) -> None:
         with suppress(OSError):  # the worker has died, which receive() reports
-            self.pipe.send(message)
+            self.pipe.send((bool(job), task))
+            if job:
+                self.pipe.send_bytes(job)
 
     def receive(self) -> list[tuple[Any, Any]]:
         """Return the tasks that were answered since the last call, with their answers.
@@ -190,7 +180,7 @@ class Worker:
 
 
 class WorkerProcess:
-    """The worker process that a job is opened in, with its connections.
+    """The worker process, with its connections and the job that it works on.
 
     Args:
         pipe: Connection to the parent.
@@ -201,6 +191,37 @@ class WorkerProcess:
         self._pipe, self._gpu_pipe = pipe, gpu_pipe
         self._next_report = 0.0
         self._shared: SharedDevice | None = None
+        self._job = b""
+        """Pickled job that is not open yet."""
+        self._perform: Callable[[Any], Any] | None = None
+        self._context = ExitStack()
+
+    def run(self) -> None:
+        """Perform tasks until the parent closes its end of the connection."""
+        with suppress(EOFError, OSError):
+            self.report_progress()
+            while True:
+                with_job, task = self._pipe.recv()
+                if with_job:
+                    self._context.close()
+                    self._job, self._perform = self._pipe.recv_bytes(), None
+                self._pipe.send(_Answer(self._answer(task)))
+
+    def _answer(self, task: Any) -> Any:
+        """Return the job's answer to a task, which opens the job if no earlier one could.
+
+        If anything fails, the answer is a :class:`Failure`.
+        """
+        try:
+            if self._perform is None:
+                job: Job = pickle.loads(self._job)
+                self._perform = self._context.enter_context(job.open(self))
+                self._job = b""  # an index of a log may be large
+            return self._perform(task)
+        except Exception as error:
+            known = isinstance(error, JaxdetError)
+            shown = error if known else WorkerError(f"{type(error).__name__}: {error}")
+            return Failure(shown, traceback.format_exc(), out_of_memory(error))
 
     def report_progress(self) -> None:
         """Report to the parent that the task makes progress, at most once per ``_ALIVE_S``."""
@@ -224,48 +245,12 @@ class WorkerProcess:
         return self._shared
 
 
-class _OpenJob:
-    """A job in a worker. Its first task opens it; if that fails, so does the task."""
-
-    def __init__(self, packed: bytes, process: WorkerProcess) -> None:
-        self._packed, self._process = packed, process
-        self._function: Callable[[Any], Any] | None = None
-        self._context = ExitStack()
-
-    def answer(self, task: Any) -> Any:
-        """Return the job's answer to a task, or a :class:`Failure`."""
-        try:
-            if self._function is None:
-                job: Job = pickle.loads(self._packed)
-                self._function = self._context.enter_context(job.open(self._process))
-                self._packed = b""  # an index of a log may be large
-            return self._function(task)
-        except Exception as error:
-            known = isinstance(error, JaxdetError)
-            shown = error if known else WorkerError(f"{type(error).__name__}: {error}")
-            return Failure(shown, traceback.format_exc(), out_of_memory(error))
-
-    def close(self) -> None:
-        """Leave the job's context."""
-        self._context.close()
-
-
 def _run_worker(backend: BackendName, pipe: Any, gpu_pipe: GpuPipe | None) -> None:
     """Perform tasks until the parent ends this process, or ends."""
     ignore_stops()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _prepare(backend, reads_only=gpu_pipe is not None)
-    process = WorkerProcess(pipe, gpu_pipe)
-    job = _OpenJob(b"", process)
-    with suppress(EOFError, OSError):
-        process.report_progress()
-        while True:
-            message = pipe.recv()
-            if isinstance(message, _Task):
-                pipe.send(_Answer(job.answer(message.task)))
-            else:
-                job.close()
-                job = _OpenJob(pipe.recv_bytes(), process)
+    WorkerProcess(pipe, gpu_pipe).run()
 
 
 def _end_with_parent() -> None:
