@@ -2,19 +2,17 @@
 
 Workers decode images into slots of memory that they share with this process::
 
-    worker 1 ...  decode > slot --Piece--> receive > queue of pieces
-                                                          | batches of pieces
-    a thread per GPU:             Gpu.copy  >  Gpu.start  >  Gpu.finish
-                                  batch 3      batch 2       batch 1, at the same time
-                                                               |
-    worker 1 ...  rows < results in the slot <-----Reply-------+
+    worker 1 ...  decode > slot ---Piece--+
+                                          |  as many pieces as there are, at most a batch
+    a thread per GPU           Gpu.copy  >  Gpu.start  >  Gpu.finish
+                               batch 3      batch 2       batch 1, at the same time
+                                                            |
+    worker 1 ...  rows < results in the slot <---Reply------+
 
 Pieces of any workers form a batch, in any order. Frames don't depend on each other, so the way
 pieces form batches changes no result.
 """
 
-import queue
-import selectors
 import threading
 from collections import deque
 from collections.abc import Sequence
@@ -22,6 +20,7 @@ from contextlib import suppress
 from itertools import chain
 from math import prod
 from multiprocessing import Pipe
+from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any
 
 from jaxdet.config import Config
@@ -62,7 +61,7 @@ def served_for(
 
 
 class GpuThreads:
-    """Threads that compute the images that workers decode: one that receives, and one per GPU.
+    """Threads that compute the images that workers decode, one per GPU.
 
     They run until :meth:`close`. Each worker has page-locked memory: ``SLOTS`` times
     ``PIECE_BYTES`` of images, or ``SLOTS`` frames if that is more, and their results (0.25 MB per
@@ -80,14 +79,15 @@ class GpuThreads:
     def __init__(self, wanted: Served, pipes: list[Any], devices: Sequence[Any]) -> None:
         self.wanted, self.pipes, self.devices = wanted, pipes, devices
         self.memory = SlotMemory(wanted._replace(results=result_types(wanted)))
-        self.waiting: queue.SimpleQueue[Piece | None] = queue.SimpleQueue()
-        self.sending = threading.Lock()
-        """Held while a reply is sent, as two threads may have replies for one worker."""
-        self.threads: list[threading.Thread] = []
         self.woken, self.waker = Pipe(duplex=False)
-        self._run(self._receive)
-        for device in devices:
-            self._run(self._compute, device)
+        self.ends = [*pipes, self.woken]
+        """Connections that are read; those of workers that have died are removed."""
+        self.receiving, self.sending = threading.Lock(), threading.Lock()
+        """Held while pieces are received, or a reply is sent, by one of the threads."""
+        given: dict[str, Any] = {"target": self._compute, "name": "jaxdet-gpu", "daemon": True}
+        self.threads = [threading.Thread(args=(device,), **given) for device in devices]
+        for thread in self.threads:
+            thread.start()
 
     def close(self) -> None:
         """End the threads and free the memory."""
@@ -97,28 +97,6 @@ class GpuThreads:
         for end in (self.waker, self.woken):
             end.close()
         self.memory.close()
-
-    def _run(self, target: Any, *args: Any) -> None:
-        thread = threading.Thread(target=target, args=args, name="jaxdet-gpu", daemon=True)
-        self.threads.append(thread)
-        thread.start()
-
-    def _receive(self) -> None:
-        """Put the pieces that workers send into the queue, until the end."""
-        with selectors.DefaultSelector() as ends:
-            for end in (*self.pipes, self.woken):
-                ends.register(end, selectors.EVENT_READ)
-            while True:
-                for key, _ in ends.select():
-                    end: Any = key.fileobj
-                    if end is self.woken:
-                        for _ in self.devices:
-                            self.waiting.put(None)
-                        return
-                    try:
-                        self.waiting.put(end.recv())
-                    except (EOFError, OSError):  # the worker has died, which its pool reports
-                        ends.unregister(end)
 
     def _compute(self, device: Any) -> None:
         """Send the results of a batch, compute the next one, and copy the one after that.
@@ -162,15 +140,30 @@ class GpuThreads:
             gpu.close()
 
     def _collect(self, left: deque[Piece], most: int, *, block: bool) -> bool:
-        """Add waiting pieces to ``left``, at most a batch; return whether more may come."""
-        while len(left) < most:
-            try:
-                piece = self.waiting.get(block=block and not left)
-            except queue.Empty:
-                break
-            if piece is None:
-                return False
-            left.append(piece)
+        """Add pieces that workers have sent to ``left``; return whether more may come.
+
+        Args:
+            left: Pieces to compute.
+            most: Maximum number of pieces.
+            block: Whether to wait for the first piece. If another thread waits for pieces, this one
+                gets none unless it waits too.
+        """
+        if not self.receiving.acquire(blocking=block):
+            return True
+        try:
+            while len(left) < most:
+                ready: list[Any] = wait(self.ends, None if block and not left else 0)
+                if self.woken in ready:
+                    return False
+                if not ready:
+                    break
+                for end in ready[: most - len(left)]:
+                    try:
+                        left.append(end.recv())
+                    except (EOFError, OSError):  # the worker has died, which its pool reports
+                        self.ends.remove(end)
+        finally:
+            self.receiving.release()
         return True
 
     def _send(self, reply: Reply) -> None:
