@@ -225,9 +225,7 @@ struct Creases {
             const int down = inside ? at + reach * grid.stride : none;
             const int* depths = z + r * grid.columns + c;
             const int *here = smooth + at, *above = smooth + up, *below = smooth + down;
-#if defined(__clang__)
-#pragma clang loop vectorize(assume_safety)
-#endif
+            JAXDET_VECTORIZE
             for (int k = 0; k < n; ++k) {
                 const int most = reach * step[at + k] << BITS, deep = limits[depths[k]] << (BITS + 1);
                 bent[k] = bends(here[k], here[k - reach], here[k + reach], most, deep) |

@@ -5,7 +5,6 @@
 #include "contraction.h"
 #include "evidence.h"
 #include "cell_list.h"
-#include "numbering.h"
 #include "small_surfaces.h"
 #include "straight_parts.h"
 
@@ -15,20 +14,21 @@ struct Obstacles {
     typedef unsigned long long Key;
     enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3 };
     // Indices of `counts`.
-    enum { SURFACES, WHOLE, GROUPS, NEAR, PARTS, LISTED, COUNTS };
+    enum { SURFACES, WHOLE, GROUPS, NEAR, CLOSE, PARTS, LISTED, COUNTS };
     // Indices of `settings`, in the order of `obstacle_tables` in jaxdet/stages/_tables.py; lengths are
     // in depth units. NO_STEP is the depth step of surfaces that do not face each other, and OFFSET is
     // the constant term of the evidence.
     enum {
         FARTHEST, LATERAL, FORWARD, GAP, CONTACT, BEND, SIDE, MIN_SIZE, MIN_CELLS, NO_STEP, OFFSET
     };
-    // Number of words of fast memory, which is shared memory on CUDA. The CPU has none.
-    enum { FAST = Warp::size > 1 ? 4096 : 0 };
-    static_assert((int)FAST == 0 || (int)FAST >= (int)Evidence::FAST, "room for a batch of pairs");
+    // Number of words of fast memory: shared memory on CUDA, the stack on the CPU.
+    enum { FAST = Warp::size > 1 ? 4096 : (int)Evidence::FAST };
+    static_assert((int)FAST >= (int)Evidence::FAST, "room for a batch of pairs");
     int* fast;  // reused by one stage after the other, aligned to 16 bytes
     int rows, columns;
     // Surface, position in the camera optical frame, and position on and height above the floor, of
-    // each cell [depth units]; and whether it is free.
+    // each cell [depth units]; and whether it is free. Surfaces are numbered in the order of their first
+    // cells.
     const int *surface, *x, *y, *z, *right, *forward, *height;
     const unsigned char* free;
     const int* settings;
@@ -40,7 +40,7 @@ struct Obstacles {
     // of pairs, and the nearest cells of the contours of obstacles.
     int slots;
     Key *pairs, *of_surfaces, *best, *turns;
-    int *between, *list, *packed, *stack, *line_x, *line_y, *line_column, *start;
+    int *between, *list, *close, *packed, *stack, *line_x, *line_y, *line_column, *start;
     unsigned char* near_pairs;
     int* bits;
     CellList listed;  // labels are first surfaces, then merged surfaces, then parts of obstacles
@@ -59,7 +59,7 @@ struct Obstacles {
         best = arena.longs(slots);
         turns = arena.longs(2 * Contraction::TURNS);
         between = arena.words(all);
-        list = arena.words(all / 2);
+        take(arena, all / 2, list, close);
         near_pairs = (unsigned char*)arena.words((all / 2 + 3) / 4);
         packed = arena.words(cells + slots);
         stack = arena.words(cells + slots);
@@ -96,7 +96,7 @@ struct Obstacles {
         find_evidence(team, contours);
         const Contraction contraction = {counts[WHOLE], between, best, turns, group};
         contraction.run(team, fast, FAST);
-        number_groups(team, counts[WHOLE], whole, counts + GROUPS);
+        number_groups(team, counts[WHOLE], counts + GROUPS);
         last.join(team, counts[GROUPS], whole, counts[WHOLE], number);
         straighten(team, contours);
         order(team);
@@ -148,10 +148,17 @@ struct Obstacles {
         return extents.width(l) >= settings[MIN_SIZE] || extents.height(l) >= settings[MIN_SIZE];
     }
 
-    void number_groups(const Team& team, int count, const Extents& extents, int* groups) const {
-        int* const lowest = 2 * count <= FAST ? fast : spare;
-        const Numbering numbering = {count, group, extents.first, lowest, lowest + count, number, groups};
-        numbering.run(team);
+    // Numbers the groups of `count` labels in the order of their smallest labels, which is that of
+    // their first cells. Writes the number of each label to `number`, and how many groups there are to
+    // `groups`. Ends in a sync.
+    void number_groups(const Team& team, int count, int* groups) const {
+        const Warp warp(team);
+        for (int l = team.rank; l < count; l += team.size) spare[l] = group[l] == l;
+        team.sync();
+        if (warp.index == 0) *groups = warp.exclusive_sum(spare, count);
+        team.sync();
+        for (int l = team.rank; l < count; l += team.size) number[l] = spare[group[l]];
+        team.sync();
     }
 
     // Merges small surfaces into others. Sets `number`, the merged surface of each surface, and the
@@ -172,7 +179,7 @@ struct Obstacles {
                                            z, small, (int*)pairs, {group}};
             joining.run(team);
         }
-        number_groups(team, count, first, counts + WHOLE);
+        number_groups(team, count, counts + WHOLE);
         whole.join(team, counts[WHOLE], first, count, number);
     }
 
@@ -214,8 +221,8 @@ struct Obstacles {
         const bool fits = (size_t)count * count / 2 <= FAST * sizeof(int);
         unsigned char* const near = fits ? (unsigned char*)fast : near_pairs;
         const Evidence evidence = {count, settings[LATERAL], settings[FORWARD], gap, settings[NO_STEP],
-                                   whole, contours, trees, near, pairs, list, counts + NEAR, between,
-                                   fast};
+                                   whole, contours, trees, near, pairs, list, counts + NEAR, close,
+                                   counts + CLOSE, between, fast};
         evidence.find_near(team);
         const Facing in_rows = {bits_of(0), bits_of(1), packed, x, columns, 1, true, gap, near, pairs};
         const Facing in_columns = {transposed(0), transposed(1), packed, y, 1, columns, false, gap,

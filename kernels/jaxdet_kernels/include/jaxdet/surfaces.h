@@ -172,9 +172,7 @@ struct Surfaces {
         const int first = r * columns;
         int* const depth = in.depth + in.grid.row(r);
         int some = 0;
-#if defined(__clang__)
-#pragma clang loop vectorize(assume_safety)
-#endif
+        JAXDET_VECTORIZE
         for (int c = 0; c < columns; ++c) {
             const int k = first + c, d = z[k];
             place(frame, has_ramp, k, x[k], y[k], d, higher(rises[d], d * slope >> SLOPE_BITS));
@@ -238,9 +236,7 @@ struct Surfaces {
             const int *own = z + r * columns, *above = z + over * columns;
             row[0] = is_near(own[0], above[0], in.step[at], in.step[at_over]) << 1;
             const int *step = in.step + at, *step_above = in.step + at_over;
-#if defined(__clang__)
-#pragma clang loop vectorize(assume_safety)
-#endif
+            JAXDET_VECTORIZE
             for (int c = 1; c < columns; ++c)
                 row[c] = is_near(own[c], own[c - 1], step[c], step[c - 1]) |
                          is_near(own[c], above[c], step[c], step_above[c]) << 1;
