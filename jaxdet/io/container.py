@@ -158,13 +158,16 @@ class LogFile(ABC):
             DamageError: The index is missing, incomplete or wrong.
         """
 
-    @abstractmethod
     def rebuild_index(self) -> FileIndex:
         """Build an index of all readable messages by reading the complete file.
+
+        Formats without a way to do so return their own index, whose messages may be unreadable.
 
         Raises:
             InputError: The file was changed meanwhile, or has an impossible number of messages.
         """
+        found = self.read_index()
+        return found._replace(integrity=found.integrity._replace(by_index=False))
 
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
