@@ -238,7 +238,6 @@ def test_chunks_that_are_too_large_are_not_read(tmp_path, sizes):
     path.write_bytes(MAGIC + record)
     os.truncate(path, place + len(content) + packed)
     with closing(McapFile(path, 1 << 20)) as file:
-        assert file.chunk_bytes(place) == 1 << 20
         tracemalloc.start()
         try:
             with pytest.raises(DamageError, match=r"larger than --log\.max-chunk-mib"):

@@ -189,14 +189,6 @@ class LogFile(ABC):
         """Return up to ``size`` bytes of a compressed chunk's records, unchecked; may be empty."""
         return b""
 
-    def chunk_bytes(self, position: int) -> int:
-        """Return the maximum memory for :meth:`chunk` at a position [byte]; 0 without a chunk."""
-        try:
-            head = self.chunk_head(position)
-        except DamageError:
-            return 0
-        return min(max(head.uncompressed_size, head.data_size), self.max_bytes)
-
     def name_of(self, position: int) -> str:
         """Return the file name of the image in the chunk; empty if it has no separate file."""
         return ""

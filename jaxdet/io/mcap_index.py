@@ -41,7 +41,7 @@ INDEX_ENTRY_BYTES = 16
 """Size of an entry: log time and offset in the chunk."""
 _ODD_BYTES = 64
 """Size below which records of unknown types count as odd, see ``MAX_ODD_RECORDS``."""
-_AHEAD_BYTES = 256
+_AHEAD_BYTES = 512
 """Minimum size of a read: usually message indexes, and the head of the next chunk."""
 
 
