@@ -14,14 +14,9 @@ namespace jaxdet { namespace {
 // direction, the warps share the cells, and as many directions are counted at once as fit in shared
 // memory.
 struct FloorVotes {
-    // Number of directions that a thread sums up together.
-#if defined(__CUDA_ARCH__)
-    enum { LANES = 1 };
-    typedef int Lanes;
-#else
-    enum { LANES = 16 };
+    // Directions that a thread sums up together, and their number.
     typedef Vectors::Ints Lanes;
-#endif
+    enum { LANES = Vectors::INTS };
     // A lattice has fewer than 2^BIN_BITS heights.
     enum { APART = 12, BIN_BITS = 10, NOTHING = -0x7fffffff };
     FloorAngles angles;

@@ -23,6 +23,18 @@
 #define JAXDET_SHARED alignas(16)
 #endif
 
+// Before a loop whose number of iterations is constant: it is unrolled completely.
+#if defined(__CUDA_ARCH__) && defined(__CUDACC__)
+#define JAXDET_UNROLL_ON_CUDA _Pragma("unroll")
+#define JAXDET_UNROLL JAXDET_UNROLL_ON_CUDA
+#elif defined(__clang__)
+#define JAXDET_UNROLL_ON_CUDA
+#define JAXDET_UNROLL _Pragma("clang loop unroll(full)")
+#else
+#define JAXDET_UNROLL_ON_CUDA
+#define JAXDET_UNROLL
+#endif
+
 // Before a loop that may be vectorized on the CPU although its pointers might overlap.
 #if defined(__clang__)
 #define JAXDET_VECTORIZE _Pragma("clang loop vectorize(assume_safety)")
