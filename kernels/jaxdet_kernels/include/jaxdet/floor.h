@@ -43,9 +43,11 @@ struct Floor {
     bool has_prior;
     // Scratch.
     unsigned long long *sums, *keys;
-    int *counts, *planes, *votes, *most_ramp, *cells, *parts, *few, *inner, *slack, *weights;
-    int *rows, *places, *lattice, *ends;
-    int most, most_few, room;
+    int *counts, *planes, *votes, *most_ramp, *slack, *weights, *rows, *places, *lattice, *ends;
+    // With room for all cells: all cells; the cells before and, from the end, beyond the start of a ramp
+    // or a step. With room for a quarter of them: the samples that `take` describes.
+    FloorCells cells, parts, few, inner;
+    int room;
 
     // Allocates the arrays. On CUDA `fast` is shared memory of SHARED words. First the arrays that are
     // always needed are placed there. Those that are used one after the other share the words that are
@@ -56,8 +58,7 @@ struct Floor {
           has_prior(prior_in[3] != 0) {
         const int stride = settings->stride;
         const int r = part(rows_in, stride), c = part(columns_in, stride);
-        most = r * c;
-        most_few = ((r + 1) / 2) * ((c + 1) / 2);
+        const int most = r * c, most_few = ((r + 1) / 2) * ((c + 1) / 2);
         int* quick = fast;
         room = Warp::size > 1 ? (int)SHARED : 0;
         const auto always = [&](int words) {
@@ -75,10 +76,13 @@ struct Floor {
         most_ramp = always(PLANES);
         rows = always(FloorProfile::ROW_ARRAYS * (settings->runs + 1));
         const auto now = [&](int words) { return words <= room ? quick : arena.words(words); };
-        cells = arena.words(3 * most);
-        parts = arena.words(3 * most);
-        few = arena.words(3 * most_few);
-        inner = arena.words(3 * most_few);
+        const auto positions = [&](int count) {
+            return FloorCells{arena.words(count), arena.words(count), arena.words(count), count};
+        };
+        cells = positions(most);
+        parts = positions(most);
+        few = positions(most_few);
+        inner = positions(most_few);
         slack = arena.words(most_few);
         places = now(4 * most_few);
         const int groups = MOST_THREADS / 32 * most_few;  // warps on CUDA
@@ -91,10 +95,6 @@ struct Floor {
     // Number of sampled cells along a side of `size` cells: every `stride`-th, from index stride / 2.
     int part(int size, int stride) const {
         return size > stride / 2 ? (size - stride / 2 + stride - 1) / stride : 0;
-    }
-
-    FloorCells of(const int* xyz, int room, int from, int count) const {
-        return {xyz + from, xyz + room + from, xyz + 2 * room + from, count};
     }
 
     // Collects the measured cells of the sample in `cells`, those of every second of its rows and
@@ -118,9 +118,7 @@ struct Floor {
             const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
             if (!is_used(depth)) continue;
             const int k = team.atomic_count(counts + ALL);
-            cells[k] = x[p];
-            cells[most + k] = y[p];
-            cells[2 * most + k] = depth;
+            cells.put(k, x[p], y[p], depth);
             if (((row | column) & 1) == 0) team.atomic_count(counts + ENDS + ring_of(depth));
         }
         team.sync();
@@ -138,14 +136,8 @@ struct Floor {
             const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
             if (!is_used(depth)) continue;
             const int k = team.atomic_count(counts + NEXT + ring_of(depth));
-            few[k] = x[p];
-            few[most_few + k] = y[p];
-            few[2 * most_few + k] = depth;
-            if (margins.has(column)) continue;
-            const int n = team.atomic_count(counts + INNER);
-            inner[n] = x[p];
-            inner[most_few + n] = y[p];
-            inner[2 * most_few + n] = depth;
+            few.put(k, x[p], y[p], depth);
+            if (!margins.has(column)) inner.put(team.atomic_count(counts + INNER), x[p], y[p], depth);
         }
         team.sync();
     }
@@ -173,13 +165,13 @@ struct Floor {
     }
 
     FloorProfile profile() const {
-        return {angles, settings, of(inner, most_few, 0, counts[INNER]), keys, rows, places};
+        return {angles, settings, inner.part(0, counts[INNER]), keys, rows, places};
     }
 
     FloorRamps ramps() const { return {profile()}; }
 
     void find(int number, int* out) const {
-        const FloorCells sample = of(few, most_few, 0, number);
+        const FloorCells sample = few.part(0, number);
         const FloorSearch search = {angles, settings, sample, counts + ENDS,
                                     slack,  weights,  keys,   lattice, ends, room};
         FloorPlane* all = (FloorPlane*)planes;
@@ -257,7 +249,7 @@ struct Floor {
     // Refines the plane on all cells or, if there is a ramp or a step, on the cells before its start.
     // Refines a ramp on the cells beyond its start.
     void refine(ThreadGroup& group, FloorPlane& plane, FloorAhead& ahead) const {
-        const FloorCells all = of(cells, most, 0, counts[ALL]);
+        const FloorCells all = cells.part(0, counts[ALL]);
         const FloorRamps ramp = ramps();
         FloorPlane steep = plane;
         int before = all.count, beyond = 0;
@@ -269,10 +261,7 @@ struct Floor {
                 const int x = all.x[i], y = all.y[i], z = all.z[i];
                 const bool is_beyond = forward.along(x, y, z) >= ahead.start;
                 const int n = team.atomic_count(counts + (is_beyond ? BEYOND : BEFORE));
-                const int k = is_beyond ? most - 1 - n : n;
-                parts[k] = x;
-                parts[most + k] = y;
-                parts[2 * most + k] = z;
+                parts.put(is_beyond ? parts.count - 1 - n : n, x, y, z);
             }
             team.sync();
             before = counts[BEFORE];
@@ -282,14 +271,10 @@ struct Floor {
         for (int n = 0; n <= (ahead.turn != 0); n++) {
             const FloorPlane start = n ? steep : plane;
             const FloorRefine refined = {angles, settings, n ? steep : prior, n || has_prior, weights};
-            const FloorPlane found = refined.run(
+            const FloorCells some = is_split ? parts : cells;
+            (n ? steep : plane) = refined.run(
                 group, start,
-                of(is_split ? parts : cells, most, n ? most - beyond : 0, n ? beyond : before), 0, 1,
-                5);
-            if (n)
-                steep = found;
-            else
-                plane = found;
+                n ? some.part(some.count - beyond, beyond) : some.part(0, before), 0, 1, 5);
         }
         if (!ahead.turn) return;
         const FloorAhead between = ramp.crossing(plane, steep);
@@ -299,7 +284,7 @@ struct Floor {
     // Judges a floor. Writes its number of inliers to found[0], the number of all cells to found[1],
     // and the reason of its refusal, or NONE, to found[2].
     void judge(ThreadGroup& group, FloorPlane plane, FloorAhead ahead, int* found) const {
-        const FloorCells all = of(cells, most, 0, counts[ALL]);
+        const FloorCells all = cells.part(0, counts[ALL]);
         const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
         const FloorSlack fine(settings->fine, settings->noise, plane.height);
         const FloorRamps ramp = ramps();
