@@ -1,7 +1,7 @@
 // Cells of the depth image: one depth and one 3D position per cell. Twin of jaxdet/reference/_cells.py.
 #pragma once
-#include "team.h"
 #include "cell_depth.h"
+#include "team.h"
 #include "warp.h"
 
 namespace jaxdet { namespace {

@@ -4,7 +4,6 @@
 #include "canny.h"
 #include "corner_maxima.h"
 #include "corner_selection.h"
-#include "hysteresis.h"
 
 namespace jaxdet { namespace {
 

@@ -3,9 +3,9 @@
 #pragma once
 #include "bits.h"
 #include "grid.h"
-#include "warp.h"
 #include "runs.h"
 #include "team.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 

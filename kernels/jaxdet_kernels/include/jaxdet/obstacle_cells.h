@@ -5,9 +5,9 @@
 // computed.
 #pragma once
 #include "arena.h"
-#include "warp.h"
 #include "cell_list.h"
-#include "margins.h"
+#include "grid.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 

@@ -2,9 +2,9 @@
 #pragma once
 #include "arena.h"
 #include "bits.h"
+#include "cell_list.h"
 #include "contraction.h"
 #include "evidence.h"
-#include "cell_list.h"
 #include "small_surfaces.h"
 #include "straight_parts.h"
 

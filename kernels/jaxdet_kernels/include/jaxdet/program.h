@@ -3,7 +3,6 @@
 #include "arena.h"
 #include "cells.h"
 #include "floor.h"
-#include "found_frame.h"
 #include "free_floor.h"
 #include "notches.h"
 #include "obstacles.h"

@@ -6,10 +6,9 @@
 #include "creases.h"
 #include "floor_frame.h"
 #include "grid.h"
-#include "margins.h"
-#include "warp.h"
 #include "runs.h"
 #include "team.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 
