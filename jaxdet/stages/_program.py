@@ -18,7 +18,7 @@ from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.plane import depth_range
 from jaxdet.floor.units import Scale, prior_units
-from jaxdet.runtime.launch import MULTIPROCESSORS, filled, on_cores, reported_words
+from jaxdet.runtime.launch import INT32, MULTIPROCESSORS, filled, on_cores, reported_words
 from jaxdet.runtime.layout import Layout
 from jaxdet.stages._tables import (
     Tables,
@@ -216,6 +216,34 @@ def detections(rows: Rows, static: Static, with_cells: bool, xp: Any) -> Detecti
         Scene(*(fields[name] for name in Scene._fields)),
         cells,
     )
+
+
+def run(
+    device: Any, given: tuple[np.ndarray, np.ndarray, np.ndarray], steps: int, *, keep_work: bool
+) -> Rows:
+    """Run the first steps on a Warp device, without JAX; arrays on the CPU are not copied.
+
+    Args:
+        device: Device for which the kernels are loaded.
+        given: Depth images, the result of :func:`floors`, and that of :func:`packed`.
+        steps: Number of steps.
+        keep_work: Whether to return the intermediate arrays.
+
+    Returns:
+        NumPy arrays.
+    """
+    static, batch = Static.of(given[2]), len(given[0])
+    record, contour, work = static.words(keep_work)
+    shapes = (batch, record), (batch, contour), (batch, work) if keep_work else (1, 1)
+    arrays = [
+        wp.array(array, dtype=wp.dtype_from_numpy(array.dtype), device=device, copy=False)
+        for array in map(np.ascontiguousarray, given)
+    ]
+    arrays += [wp.zeros(shape, dtype=INT32, device=device) for shape in shapes]
+    is_cpu = arrays[0].device.is_cpu
+    scratch = None if is_cpu else wp.empty((batch, static.own_words), dtype=INT32, device=device)
+    launch(arrays, scratch, 0, steps, static)
+    return Rows(*(array.numpy() for array in arrays[3:]))
 
 
 def launch(arrays: list[Any], scratch: Any, first: int, end: int, static: Static) -> None:
