@@ -13,11 +13,11 @@ struct CellList {
     int* before;  // scratch: number of listed cells before each word of the bitmap
 
     void allocate(Arena& arena, int rows, int columns) {
-        take(arena, 1, count);
-        take(arena, rows * columns, cell, label, right, forward);
+        arena.take(1, count);
+        arena.take(rows * columns, cell, label, right, forward);
         has = BitRows(rows, columns, nullptr);
-        take(arena, has.count(), has.bits);
-        take(arena, has.count() + 1, before);
+        arena.take(has.count(), has.bits);
+        arena.take(has.count() + 1, before);
     }
 
     // Lists the cells of the bitmap, which must have been set. Ends in a sync.

@@ -28,9 +28,7 @@ struct Creases {
     int *smooth, *other, *step;
     // Bitmap of the cells to process, and two bitmaps of scratch memory: crease cells, and run starts.
     BitRows kept, found, wide;
-    Runs runs;
-    int* near;
-    int most_near;
+    Runs runs;  // of `found`, starting at `wide`
 
     static int apart(int a, int b) { return a < b ? b - a : a - b; }
 
@@ -115,7 +113,7 @@ struct Creases {
         const int count = found.count(), words = found.at(1, 0);
         for (int i = team.rank; i < count; i += team.size) wide[i] = found[i] & ~found.before(i);
         team.sync();
-        runs.number(team, near, most_near);
+        runs.number(team);
         for (int i = words + team.rank; i < count; i += team.size) {
             const int j = i - words;
             const unsigned here = found[i], above = found[j];

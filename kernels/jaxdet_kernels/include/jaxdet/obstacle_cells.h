@@ -34,8 +34,8 @@ struct ObstacleCells {
 
     // Allocates the arrays, with room for `slots` obstacles.
     void allocate(Arena& arena, int slots) {
-        take(arena, PARTS * slots + 1, starts, filled);
-        take(arena, cells, cell, right_of, forward_of);
+        arena.take(PARTS * slots + 1, starts, filled);
+        arena.take(cells, cell, right_of, forward_of);
         listed.allocate(arena, cells / columns, columns);
     }
 

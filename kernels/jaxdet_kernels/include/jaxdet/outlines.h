@@ -44,11 +44,11 @@ struct Outlines {
 
     // Allocates the arrays, then those of `grid`, which is `cells`.
     void allocate(Arena& arena, ObstacleCells& grid) {
-        nearest = arena.longs(slots * cells.columns);
-        area = (long long*)arena.longs(slots * DIRECTIONS);
-        cost = arena.words(slots * DIRECTIONS);
-        margins = arena.words(2 * slots);
-        projected = arena.words(cells.cells);
+        arena.take(2 * slots * cells.columns, nearest);
+        arena.take(2 * slots * DIRECTIONS, area);
+        arena.take(slots * DIRECTIONS, cost);
+        arena.take(2 * slots, margins);
+        arena.take(cells.cells, projected);
         grid.allocate(arena, slots);
     }
 

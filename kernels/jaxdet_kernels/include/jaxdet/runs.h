@@ -41,13 +41,15 @@ struct Runs {
     int* before;         // number of runs that begin before each word, and the total
     UnionFind sets;      // components of runs
     int* sizes;          // number of cells of a component, indexed by its root
+    // Fast memory for the parents of `most_near` runs, used if there are at most that many.
+    int* near;
+    int most_near;
 
     // Numbers the runs, each of which becomes its own component; returns their number. A collective
-    // call, after a sync; ends in a sync. `near` has room for the parents of `most` runs and is used if
-    // there are at most that many.
-    int number(const Team& team, int* near, int most) {
+    // call, after a sync; ends in a sync.
+    int number(const Team& team) {
         const int count = count_before(team, starts, before);
-        if (count <= most) sets.parent = near;
+        if (count <= most_near) sets.parent = near;
         for (int run = team.rank; run < count; run += team.size) {
             sets.parent[run] = run;
             sizes[run] = 0;

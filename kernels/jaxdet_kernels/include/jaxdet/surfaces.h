@@ -58,12 +58,9 @@ struct Surfaces {
 
         Parts(int rows, int columns, Arena& arena)
             : grid(rows, columns), kept(rows, columns, nullptr), on(kept), starts(kept), up(kept) {
-            const int cells = rows * columns;
-            int** const planes[] = {&depth, &other, &step};
-            for (int** plane : planes) *plane = arena.words(grid.size);
-            int** const arrays[] = {&parent, &label, &sizes, &first, &top, &level};
-            for (int** array : arrays) *array = arena.words(cells);
-            before = arena.words(5 * kept.count() + 1);
+            arena.take(grid.size, depth, other, step);
+            arena.take(rows * columns, parent, label, sizes, first, top, level);
+            arena.take(5 * kept.count() + 1, before);
             near = parent;
             most_near = 0;
             const int count = kept.count();
@@ -80,6 +77,11 @@ struct Surfaces {
             on.bits = kept.bits + count;
             starts.bits = on.bits + count;
             up.bits = starts.bits + count;
+        }
+
+        // Runs of the cells of a bitmap, given the bitmap of their first cells.
+        Runs runs(const BitRows& cells, const BitRows& firsts) const {
+            return {cells, firsts, before, {parent}, sizes, near, most_near};
         }
     };
 
@@ -201,7 +203,7 @@ struct Surfaces {
     int label(const Team& team, const Parts& in, Runs& runs, const BitRows& up, const BitRows& has) const {
         const BitRows &on = runs.on, &starts = runs.starts;
         const int count = on.count(), words = on.at(1, 0), least = settings[MIN_CELLS];
-        const int all = runs.number(team, in.near, in.most_near);
+        const int all = runs.number(team);
         for (int i = words + team.rank; i < count; i += team.size) {
             const int j = i - words;
             // The first cell where two runs touch.
@@ -436,14 +438,13 @@ struct Surfaces {
         if (team.rank == 0) *has_depth_out = some;
         Creases creases = {
             in.grid, settings[CREASE_CELLS], settings[MIN_CELLS], settings[CREASE_MARGIN],
-            steps, limits, z, in.depth, in.other, in.step, kept, starts, up,
-            {starts, up, in.before, {in.parent}, in.sizes}, in.near, in.most_near,
+            steps, limits, z, in.depth, in.other, in.step, kept, starts, up, in.runs(starts, up),
         };
         const BitRows crease = creases.run(team);
         for (int i = team.rank; i < on.count(); i += team.size) on[i] = kept[i] & ~crease[i];
         team.sync();
         find_links(team, in);
-        Runs runs = {on, starts, in.before, {in.parent}, in.sizes};
+        Runs runs = in.runs(on, starts);
         const int all = label(team, in, runs, up, up);
         const BitRows has = grow(team, kept, up, on);
         measure(team, in, all, has);
