@@ -15,7 +15,8 @@ namespace jaxdet { namespace {
 struct Surfaces {
     enum {
         MOST = 512,  // number of labels; cells of further surfaces get the label -1
-        UNSEEN = 0x7fffffff
+        UNSEEN = 0x7fffffff,
+        AHEAD = 4,  // number of cells that a thread loads at a time on CUDA
     };
     // Indices of settings; lengths are in depth units. NEAREST and FARTHEST: depth range of surfaces.
     // CREASE_CELLS, MIN_CELLS and CREASE_MARGIN: radius, minimum size and dilation of creases [cells].
@@ -95,12 +96,11 @@ struct Surfaces {
 
     static int higher(int a, int b) { return a > b ? a : b; }
 
-    // Transforms all cells to the floor frame and classifies them; they have no label at first. Returns
-    // whether the depth of any of this thread's cells is in range.
+    // Transforms all cells to the floor frame and classifies them; returns whether the depth of any of
+    // this thread's cells is in range.
     bool start(const Team& team, const Parts& in) const {
         in.grid.frame(team, in.depth, Creases::NONE);
         in.grid.frame(team, in.other, Creases::NONE);
-        for (int k = team.rank; k < rows * columns; k += team.size) label_out[k] = -1;
         const FloorFrame frame(floor);
         return frame.has_ramp() ? place<true>(team, in, frame) : place<false>(team, in, frame);
     }
@@ -198,8 +198,8 @@ struct Surfaces {
         return 0;
     }
 
-    // Labels linked cells with the root of their component, except for small components. Returns the
-    // number of runs; `has` becomes the bitmap of labelled cells. Ends in a sync.
+    // Labels linked cells with the root of their component, small ones with -1. Returns the number of
+    // runs; `has` becomes the bitmap of labelled cells. Ends in a sync.
     int label(const Team& team, const Parts& in, Runs& runs, const BitRows& up, const BitRows& has) const {
         const BitRows &on = runs.on, &starts = runs.starts;
         const int count = on.count(), words = on.at(1, 0), least = settings[MIN_CELLS];
@@ -227,18 +227,43 @@ struct Surfaces {
             in.level[run] = 0;
         }
         team.sync();
-        for (int i = team.rank; i < count; i += team.size) {
+#if defined(__CUDA_ARCH__)
+        const Warp warp(team);
+        const int used = on.words, cells = rows * used;
+        for (int first = warp.index; first < cells; first += AHEAD * warp.count) {
+            int own[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k * warp.count, j = on.at(i / used, i % used);
+                const bool there = i < cells && on[j] >> warp.lane & 1;
+                own[k] = there ? in.label[runs.at(j, warp.lane)] : -1;
+            }
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k * warp.count;
+                if (i >= cells) break;
+                const int c = i % used * BitRows::WIDTH + warp.lane;
+                if (c < columns) label_out[i / used * columns + c] = own[k];
+                const unsigned those = warp.ballot(own[k] >= 0);
+                if (warp.lane == 0) has[on.at(i / used, i % used)] = those;
+            }
+        }
+#else
+        for (int i = 0; i < count; ++i) {
+            const int first = on.column(i);
+            const int n = columns - first < BitRows::WIDTH ? columns - first : (int)BitRows::WIDTH;
+            int* out = label_out + on.row(i) * columns + first;
+            for (int c = 0; c < n; ++c) out[c] = -1;
             unsigned those = 0;
             for (unsigned rest = on[i]; rest;) {
                 const unsigned part = runs.next(i, &rest);
                 const int begin = BitRows::lowest(part), own = in.label[runs.at(i, begin)];
                 if (own < 0) continue;
                 those |= part;
-                int* const out = label_out + on.cell(i, begin);
-                for (int c = 0; c < BitRows::popcount(part); ++c) out[c] = own;
+                const int end = begin + BitRows::popcount(part);
+                for (int c = begin; c < end; ++c) out[c] = own;
             }
             has[i] = those;
         }
+#endif
         team.sync();
         return all;
     }
