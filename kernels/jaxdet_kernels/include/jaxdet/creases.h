@@ -11,8 +11,13 @@ namespace jaxdet { namespace {
 
 struct Creases {
     enum {
-        BITS = 4,          // fraction bits of smoothed depths
-        NONE = -(1 << 26)  // placeholder of a missing depth, far from all depths
+        BITS = 4,           // fraction bits of smoothed depths
+        NONE = -(1 << 26),  // placeholder of a missing depth, far from all depths
+        // On CUDA a warp smooths SEGMENT rows of a strip of columns; the outer HALO columns on each
+        // side belong to the neighbouring strips. AHEAD rows are loaded at a time.
+        HALO = 2,
+        SEGMENT = 24,
+        AHEAD = 4
     };
     Grid grid;
     // Distance of the cells between which the bend is measured, minimum number of cells of a crease,
@@ -22,9 +27,9 @@ struct Creases {
     // [depth units].
     const int *steps, *limits;
     const int* z;  // (R, C) depth, 0 = none
-    // Grids of cells with margins. `smooth` holds the depths with BITS fraction bits at first, then the
-    // smoothed depths, and `other` those after the first smoothing; their margins are NONE. `step` holds
-    // the value of `steps` for each cell.
+    // Grids of cells with margins of NONE. `smooth` holds the smoothed depths; on the CPU it first holds
+    // the depths with BITS fraction bits. `other` and `step` are used only on the CPU: `other` holds the
+    // depths after the first smoothing, and `step` holds the value of `steps` for each cell.
     int *smooth, *other, *step;
     // Bitmap of the cells to process, and two bitmaps of scratch memory: crease cells, and run starts.
     BitRows kept, found, wide;
@@ -53,43 +58,117 @@ struct Creases {
         return ((a > b ? a : b) < most) & (2 * own - before - after > deep);
     }
 
-    // Smooths the rows near kept cells twice; `other` holds the result of the first pass. Ends in a sync.
-    void smoothed(const Team& team) const {
-        const Warp warp(team);
-        for (int r = warp.index; r < grid.rows; r += warp.count) {
-            if (!is_used(warp, r, reach + 1)) continue;
-            const int at = grid.row(r);
-            for (int c = warp.lane; c < grid.columns; c += warp.size)
-                step[at + c] = steps[z[r * grid.columns + c]];
-            smooth_row(warp, smooth + at, step + at, other + at);
-        }
-        team.sync();
-        for (int r = warp.index; r < grid.rows; r += warp.count) {
-            const int at = grid.row(r);
-            if (is_used(warp, r, reach)) smooth_row(warp, other + at, step + at, smooth + at);
-        }
-        team.sync();
-    }
+#if defined(__CUDA_ARCH__)
+    // Window of 3 x 3 cells, with the newest row last. Each lane holds the window of its own column.
+    struct Window {
+        int left[3], own[3], right[3];
 
-    // Whether there are kept cells at most `around` rows away from a row. A collective call of a warp.
-    bool is_used(const Warp& warp, int row, int around) const {
-        const int from = row < around ? 0 : row - around;
-        const int end = row + around < grid.rows ? row + around + 1 : grid.rows;
+        void push(int value) {
+            for (int k = 0; k < 2; ++k) {
+                left[k] = left[k + 1];
+                own[k] = own[k + 1];
+                right[k] = right[k + 1];
+            }
+            left[2] = __shfl_up_sync(0xffffffff, value, 1);
+            own[2] = value;
+            right[2] = __shfl_down_sync(0xffffffff, value, 1);
+        }
+
+        int mean(int step) const {
+            return Creases::mean(own[1], step, left[0], own[0], right[0], left[1], right[1],
+                                 left[2], own[2], right[2]);
+        }
+    };
+
+    // Whether a cell of a block, or a cell at most `reach` cells away from it, is to be processed. All
+    // lanes of the warp must call it.
+    bool is_used(const Warp& warp, int top, int bottom, int left, int right) const {
+        const int from = left - reach < 0 ? 0 : (left - reach) / BitRows::WIDTH;
+        const int to = (right + reach) / BitRows::WIDTH;
+        const int last = bottom + reach < grid.rows ? bottom + reach : grid.rows;
         unsigned some = 0;
-        for (int i = kept.at(from, 0) + warp.lane; i < kept.at(end, 0); i += warp.size) some |= kept[i];
+        for (int r = (top < reach ? 0 : top - reach) + warp.lane; r < last; r += Warp::size)
+            for (int w = from; w <= to && w < kept.words; ++w) some |= kept[kept.at(r, w)];
         return warp.ballot(some != 0);
     }
 
-    // Smooths a row of a grid, given its first cell.
-    void smooth_row(
-        const Warp& warp, const int* here, const int* __restrict__ step, int* __restrict__ out
-    ) const {
-        const int *__restrict__ up = here - grid.stride, *__restrict__ own = here;
-        const int* __restrict__ down = here + grid.stride;
-        for (int c = warp.lane; c < grid.columns; c += warp.size)
-            out[c] = mean(own[c], step[c], up[c - 1], up[c], up[c + 1], own[c - 1], own[c + 1],
+    // Smooths the depths twice in one pass down strips of columns, at all cells whose result is used.
+    void smoothed(const Team& team) const {
+        enum { INNER = Warp::size - 2 * HALO };
+        const Warp warp(team);
+        const int strips = (grid.columns + INNER - 1) / INNER;
+        const int pieces = strips * ((grid.rows + SEGMENT - 1) / SEGMENT);
+        for (int piece = warp.index; piece < pieces; piece += warp.count) {
+            const int c = piece % strips * INNER + warp.lane - HALO;
+            const bool inside = c >= 0 && c < grid.columns;
+            const bool own = inside && warp.lane >= HALO && warp.lane < Warp::size - HALO;
+            const int begin = piece / strips * SEGMENT, stop = begin + SEGMENT;
+            const int end = stop < grid.rows ? stop : grid.rows, left = piece % strips * INNER;
+            if (!is_used(warp, begin, end, left, left + INNER - 1)) continue;
+            Window measured, once;
+            for (int k = 0; k < 3; ++k) {
+                measured.left[k] = measured.own[k] = measured.right[k] = NONE;
+                once.left[k] = once.own[k] = once.right[k] = NONE;
+            }
+            int near_last = 0, near_before = 0;
+            for (int first = begin - HALO; first < end + HALO; first += AHEAD) {
+                int depth[AHEAD], near[AHEAD];
+                for (int k = 0; k < AHEAD; ++k) {
+                    const int r = first + k;
+                    const bool there = inside && r >= 0 && r < grid.rows;
+                    depth[k] = there ? z[r * grid.columns + c] : 0;
+                }
+                for (int k = 0; k < AHEAD; ++k) near[k] = steps[depth[k]];
+                for (int k = 0; k < AHEAD; ++k) {
+                    measured.push(depth[k] > 0 ? depth[k] << BITS : (int)NONE);
+                    once.push(measured.mean(near_last));
+                    const int r = first + k - HALO, twice = once.mean(near_before);
+                    if (own && r >= begin && r < end) smooth[grid.row(r) + c] = twice;
+                    near_before = near_last;
+                    near_last = near[k];
+                }
+            }
+        }
+        team.sync();
+    }
+#else
+    static void smooth_row(
+        const int* __restrict__ up, const int* __restrict__ here, const int* __restrict__ down,
+        const int* __restrict__ step, int* __restrict__ out, int n
+    ) {
+        for (int c = 0; c < n; ++c)
+            out[c] = mean(here[c], step[c], up[c - 1], up[c], up[c + 1], here[c - 1], here[c + 1],
                           down[c - 1], down[c], down[c + 1]);
     }
+
+    // Smooths the rows near kept cells twice; `other` holds the result of the first pass.
+    void smoothed(const Team&) const {
+        const int wide = grid.stride, n = grid.columns;
+        int used[Grid::MOST_COLUMNS];
+        for (int r = 0; r < grid.rows; ++r) {
+            used[r] = 0;
+            for (int w = 0; w < kept.words; ++w) used[r] |= kept[kept.at(r, w)] != 0;
+        }
+        const auto is_used = [&](int r, int around) {
+            int some = 0;
+            for (int k = r - around; k <= r + around; ++k)
+                some |= k >= 0 && k < grid.rows ? used[k] : 0;
+            return some;
+        };
+        for (int r = 0; r < grid.rows; ++r) {
+            if (!is_used(r, reach + 1)) continue;
+            const int at = grid.row(r);
+            for (int c = 0; c < n; ++c) step[at + c] = steps[z[r * n + c]];
+            const int* here = smooth + at;
+            smooth_row(here - wide, here, here + wide, step + at, other + at, n);
+        }
+        for (int r = 0; r < grid.rows; ++r) {
+            if (!is_used(r, reach)) continue;
+            const int* here = other + grid.row(r);
+            smooth_row(here - wide, here, here + wide, step + grid.row(r), smooth + grid.row(r), n);
+        }
+    }
+#endif
 
     // Finds the cells where depth bends more than the limit. Ends in a sync.
     void find(const Team& team) const {
@@ -101,7 +180,8 @@ struct Creases {
             const int none = grid.row(-1) - grid.row(r), away = reach * grid.stride;
             const int *const up = smooth + (inside ? -away : none);
             const int *const down = smooth + (inside ? away : none);
-            const int most = reach * step[at] << BITS, deep = limits[z[found.cell(i, k)]] << (BITS + 1);
+            const int d = z[found.cell(i, k)], near = Warp::size > 1 ? steps[d] : step[at];
+            const int most = reach * near << BITS, deep = limits[d] << (BITS + 1);
             return bends(smooth[at], smooth[at - reach], smooth[at + reach], most, deep) |
                    bends(smooth[at], up[at], down[at], most, deep);
         });

@@ -9,7 +9,6 @@ namespace jaxdet { namespace {
 
 struct Extents {
     enum { TRIM = 20, SUMS = 1, LEAST = 9, FIELDS = 18, UNTRIMMED = 14, NONE = 1 << 30 };
-    enum { PIECE = Warp::size > 1 ? 32 : 1 << 20 };  // listed cells that a thread measures at a time
     int slots, *words;
     // Arrays of `slots` values, one per label. `first` is the first cell in row-major order; `low` and
     // `high` are minima and maxima; `left`, `right`, `near` and `far` are the extremes of `right` and
@@ -51,33 +50,52 @@ struct Extents {
     ) const {
         clear(team, count);
         const int all = *listed.count;
-        for (int begin = team.rank * PIECE; begin < all; begin += team.size * PIECE)
-            for (int i = begin, end = begin + PIECE < all ? begin + PIECE : all; i < end;)
-                i += measure_run(team, listed, i, end, wide, x, z, height);
-        team.sync();
-    }
-
-    // Measures the longest run of adjacent cells of one row and label among the listed cells from
-    // `first` to `end` - 1; returns the number of its cells.
-    int measure_run(
-        const Team& team, const CellList& listed, int first, int end, int wide, const int* x,
-        const int* z, const int* height
-    ) const {
-        const int l = listed.label[first], from = listed.cell[first], row = from / wide;
-        const int to_edge = (row + 1) * wide - from, most = end - first < to_edge ? end - first : to_edge;
-        const int *own = listed.label + first, *cell = listed.cell + first, *at = z + from;
-        const int *right = listed.right + first, *forward = listed.forward + first;
-        const int *high = height + from, *across = x + from;
-        int n = 0;
-        Extremes r, f, h, d, w;
-        for (; n < most && own[n] == l && cell[n] == from + n; ++n) {
-            r.add(right[n]), f.add(forward[n]), h.add(high[n]), d.add(at[n]), w.add(across[n]);
+#if defined(__CUDA_ARCH__)
+        const Warp warp(team);
+        for (int first = warp.index * Warp::size; first < all; first += warp.count * Warp::size) {
+            const int i = first + warp.lane < all ? first + warp.lane : all - 1;
+            const int label = listed.label[i], k = listed.cell[i], r = listed.right[i];
+            const int f = listed.forward[i], h = height[k], x_here = x[k], z_here = z[k];
+            const int row = k / wide, column = k % wide;
+            // One label after the other; lane n updates field n.
+            for (unsigned rest = warp.ballot(first + warp.lane < all); rest;) {
+                const int l = warp.broadcast(label, BitRows::lowest(rest));
+                const bool own = label == l && first + warp.lane < all;
+                const unsigned those = warp.ballot(own);
+                rest &= ~those;
+                const auto least = [&](int value) { return warp.min(own ? value : (int)NONE); };
+                const auto most = [&](int value) { return warp.max(own ? value : -(int)NONE); };
+                const int found[UNTRIMMED] = {
+                    BitRows::popcount(those),
+                    least(k), least(row), least(column), least(r), least(f), least(h),
+                    least(z_here), least(x_here), most(row), most(column), most(r), most(f), most(h),
+                };
+                int mine = 0;
+                for (int n = 0; n < UNTRIMMED; ++n) mine = warp.lane == n ? found[n] : mine;
+                add(team, l, warp.lane, mine);
+            }
         }
-        const int column = from - row * wide;
-        const int found[UNTRIMMED] = {n, from, row, column, r.low, f.low, h.low, d.low,
+#else
+        for (int i = 0; i < all;) {
+            const int l = listed.label[i], from = listed.cell[i], row = from / wide;
+            const int end = (row + 1) * wide - from, left = all - i < end ? all - i : end;
+            const int *own = listed.label + i, *cell = listed.cell + i, *at = z + from;
+            const int *right = listed.right + i, *forward = listed.forward + i;
+            const int *high = height + from, *across = x + from;
+            int n = 0;
+            Extremes r, f, h, d, w;
+            // A run of adjacent cells of one row and label.
+            for (; n < left && own[n] == l && cell[n] == from + n; ++n) {
+                r.add(right[n]), f.add(forward[n]), h.add(high[n]), d.add(at[n]), w.add(across[n]);
+            }
+            const int column = from - row * wide;
+            const int found[UNTRIMMED] = {n, from, row, column, r.low, f.low, h.low, d.low,
                                       w.low, row, column + n - 1, r.high, f.high, h.high};
-        for (int k = 0; k < UNTRIMMED; ++k) add(team, l, k, found[k]);
-        return n;
+            for (int k = 0; k < UNTRIMMED; ++k) add(team, l, k, found[k]);
+            i += n;
+        }
+#endif
+        team.sync();
     }
 
     // Updates field k of a label from some of its cells.

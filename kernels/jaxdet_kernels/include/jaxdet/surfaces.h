@@ -17,6 +17,7 @@ struct Surfaces {
         MOST = 512,  // number of labels; cells of further surfaces get the label -1
         UNSEEN = 0x7fffffff,
         AHEAD = 4,  // number of cells that a thread loads at a time on CUDA
+        FEW = 2,    // the same for loops that load more values per cell
     };
     // Indices of settings; lengths are in depth units. NEAREST and FARTHEST: depth range of surfaces.
     // CREASE_CELLS, MIN_CELLS and CREASE_MARGIN: radius, minimum size and dilation of creases [cells].
@@ -45,7 +46,8 @@ struct Surfaces {
     // Scratch memory of a team.
     struct Parts {
         Grid grid;
-        // Grids of cells, see `Creases`.
+        // Grids of cells. `depth` holds smoothed depths. `other` and `step` are used only on the CPU,
+        // see `Creases`.
         int *depth, *other, *step;
         // `parent` and `label` have a value per run. The others have a value per surface, at the index
         // of its root run: number of cells; first cell; top; and `level`, the sum over those of its
@@ -100,7 +102,7 @@ struct Surfaces {
     // this thread's cells is in range.
     bool start(const Team& team, const Parts& in) const {
         in.grid.frame(team, in.depth, Creases::NONE);
-        in.grid.frame(team, in.other, Creases::NONE);
+        if (Warp::size == 1) in.grid.frame(team, in.other, Creases::NONE);
         const FloorFrame frame(floor);
         return frame.has_ramp() ? place<true>(team, in, frame) : place<false>(team, in, frame);
     }
@@ -126,8 +128,10 @@ struct Surfaces {
             free[k] = beyond & !on;
             low[k] = (d > 0) & !above;
             some |= beyond & (d <= in_range);
-            in.depth[in.grid.row(in.kept.row(i)) + in.kept.column(i) + bit] =
-                d > 0 ? d << Creases::BITS : (int)Creases::NONE;
+            // On the CPU, `Creases` reads its depths from here.
+            if (Warp::size == 1)
+                in.depth[in.grid.row(in.kept.row(i)) + in.kept.column(i) + bit] =
+                    d > 0 ? d << Creases::BITS : (int)Creases::NONE;
             return on;
         });
         team.sync();
@@ -145,10 +149,13 @@ struct Surfaces {
         const Warp warp(team);
         // Whether the depth of a cell is near that of an earlier cell: `apart` cells before it in the
         // image, and `away` cells in grids with margins. The first cells of the image, whose result is not
-        // used, are compared with words of the array before `z`.
+        // used, are compared with themselves or, on the CPU, with words of the array before `z`.
         const auto is_linked = [&](int i, int k, int apart, int away) {
-            const int cell = on.cell(i, k), place = in.grid.row(on.row(i)) + on.column(i) + k;
-            return is_near(z[cell], z[cell - apart], in.step[place], in.step[place - away]);
+            const int first = on.cell(i, 0), place = in.grid.row(on.row(i)) + on.column(i) + k;
+            const int back = Warp::size > 1 && first + k < apart ? 0 : apart;
+            const int one = z[first + k], two = z[first + k - back];
+            return Warp::size > 1 ? is_near(one, two, steps[one], steps[two])
+                                  : is_near(one, two, in.step[place], in.step[place - away]);
         };
         warp.fill(starts, [&](int i) { return on[i] & on.before(i); },
                   [&](int i, int k) { return is_linked(i, k, 1, 1); });
@@ -372,12 +379,67 @@ struct Surfaces {
         return outer ? rises > away : 3 * rises > goes;
     }
 
+#if defined(__CUDA_ARCH__)
+    // Measures the cells of FEW words, given by their indices; an index of -1 is skipped.
+    void measure_words(
+        const Team& team, const Warp& warp, const Parts& in, const BitRows& has, const int* words
+    ) const {
+        const Margins margins(columns);
+        int l[FEW], h[FEW], f[FEW], h_below[FEW], f_below[FEW];
+        bool lowest[FEW];
+        for (int k = 0; k < FEW; ++k) {
+            const int r = has.row(words[k]), c = has.column(words[k]) + warp.lane;
+            const bool there = words[k] >= 0 && c < columns, over = there && r + 1 < rows;
+            const int here = there ? r * columns + c : 0, below = over ? here + columns : 0;
+            l[k] = there ? label_out[here] : -1;
+            h[k] = height[here], f[k] = forward[here];
+            h_below[k] = height[below], f_below[k] = forward[below];
+            lowest[k] = over && low[below];
+        }
+        for (int k = 0; k < FEW; ++k) {
+            const int r = has.row(words[k]), c = has.column(words[k]) + warp.lane;
+            const bool outer = margins.has(c);
+            const int rises = h[k] - h_below[k];
+            const bool steep = is_steep(rises, f[k] - f_below[k], outer);
+            const int level = lowest[k] ? steep ? -1 : 2 : 0;
+            const bool sure = lowest[k] || r + 1 == rows || !outer;
+            // One label after the other.
+            for (unsigned rest = warp.ballot(l[k] >= 0); rest;) {
+                const int leader = BitRows::lowest(rest);
+                const int label = warp.broadcast(l[k], leader);
+                const bool own = l[k] == label;
+                const unsigned those = warp.ballot(own);
+                const int top = warp.max(own && h[k] > -1 ? h[k] : -1);
+                const int sum = warp.sum(own ? level : 0);
+                const bool any_sure = warp.ballot(own && sure);
+                if (warp.lane == leader)
+                    update(team, in, label, r * columns + c, top, sum, any_sure);
+                rest &= ~those;
+            }
+        }
+    }
+#endif
+
     // Measures all surfaces. Ends in a sync.
     void measure(const Team& team, const Parts& in, int runs, const BitRows& has) const {
         for (int run = team.rank; run < runs; run += team.size) in.sizes[run] = 0;
         team.sync();
+#if defined(__CUDA_ARCH__)
+        // Each lane tests whether a word has cells; then all lanes process FEW such words at a time.
+        const Warp warp(team);
+        for (int first = warp.index * Warp::size; first < has.count();
+             first += warp.count * Warp::size) {
+            const int own = first + warp.lane;
+            for (unsigned rest = warp.ballot(own < has.count() && has[own]); rest;) {
+                int words[FEW];
+                for (int k = 0; k < FEW; ++k, rest &= rest - 1)
+                    words[k] = rest ? first + BitRows::lowest(rest) : -1;
+                measure_words(team, warp, in, has, words);
+            }
+        }
+#else
         const Margins margins(columns);
-        for (int i = team.rank; i < has.count(); i += team.size) {
+        for (int i = 0; i < has.count(); ++i) {
             const int r = has.row(i), k = r * columns;
             const int* label = label_out + k + has.column(i);
             for (unsigned rest = has[i]; rest;) {
@@ -402,6 +464,7 @@ struct Surfaces {
                         pairs || r + 1 == rows || inner);
             }
         }
+#endif
         team.sync();
     }
 
