@@ -57,7 +57,7 @@ struct Outlines {
         measures.clear(slots);
         cells.clear();
         team.sync();
-        cells.list();
+        cells.listed.take(team, cells.cells, cells.label, cells.count, cells.right, cells.forward);
         count();
         team.sync();
         if (warp.index == 0) cells.order(warp);

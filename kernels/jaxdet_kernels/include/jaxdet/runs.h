@@ -45,10 +45,21 @@ struct Runs {
     int* near;
     int most_near;
 
+    // Computes `before`; returns the number of runs. A collective call, after a sync; ends in a sync.
+    int count(const Team& team) const {
+        const int words = starts.count();
+        for (int i = team.rank; i < words; i += team.size) before[i] = BitRows::popcount(starts[i]);
+        team.sync();
+        const Warp warp(team);
+        if (warp.index == 0) warp.exclusive_sum(before, words);
+        team.sync();
+        return before[words];
+    }
+
     // Numbers the runs, each of which becomes its own component; returns their number. A collective
     // call, after a sync; ends in a sync.
     int number(const Team& team) {
-        const int count = count_before(team, starts, before);
+        const int count = this->count(team);
         if (count <= most_near) sets.parent = near;
         for (int run = team.rank; run < count; run += team.size) {
             sets.parent[run] = run;
