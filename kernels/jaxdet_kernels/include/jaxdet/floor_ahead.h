@@ -31,7 +31,7 @@ struct FloorOutlook {
             ramps.limits(team, ramps.fine());
             const int alone = ramps.flat()[ramps.runs()];
             most_alone = alone > most_alone ? alone : most_alone;
-            ramps.limit(team, most_ramp + n);
+            ramps.limit(team, ramps.fine(), most_ramp + n);
             team.sync();
             bool is_new = true;
             for (int k = 0; k < n; k++)

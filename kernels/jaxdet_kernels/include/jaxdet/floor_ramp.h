@@ -16,7 +16,10 @@ struct FloorRamps : FloorProfile {
         FINE = 2 * AROUND + 1,
         FINE_TURN = FloorAngles::ANGLES / 4,
         MIN_SHARE = 40,
-        // Number of starts that `best` processes together.
+        // `limit` groups ramps by turn, in SECTORS sectors of three degrees, and by start. ABREAST
+        // starts are processed together.
+        SECTOR = 3 * FloorAngles::ANGLES,
+        SECTORS = 2 * (MOST_TURN - LEAST_TURN) / SECTOR,
         ABREAST = Warp::size > 1 ? 1 : STARTS
     };
 
@@ -35,6 +38,8 @@ struct FloorRamps : FloorProfile {
     // differ.
     int* ramp_cells() const { return row(5); }
     int* all_cells() const { return row(6); }
+    // Upper bound of the votes in the distance bin of each sorted cell; see `limits`.
+    int* worth() const { return places; }
 
     // Height of a ramp above the plane at the distance `run`; lengths are in depth units.
     int rise(int start, int slope, int run) const {
@@ -49,10 +54,11 @@ struct FloorRamps : FloorProfile {
     }
 
     // Computes, for each distance bin, the votes for a flat floor and an upper bound of the votes for
-    // any ramp: the largest of those for a ramp whose highest inlier is one of the cells. Let s be the
-    // tolerance and p the height of a ramp in the bin: its inliers are from p - s to p + s, and cells
-    // below p - 4 s cost votes. If the highest inlier is at height h, p is at least h - s, so no inlier
-    // is below h - 2 s, and all cells below h - 5 s cost votes.
+    // any ramp. For each cell it also computes an upper bound of the votes, in the cell's distance bin,
+    // for a ramp whose highest inlier there is this cell. Let s be the tolerance and p the height of a
+    // ramp in the bin: its inliers are from p - s to p + s, and cells below p - 4 s cost votes. If the
+    // highest inlier is at height h, p is at least h - s, so no inlier is below h - 2 s, and all cells
+    // below h - 5 s cost votes.
     void limits(const Team& team, const int* slack) const {
         const int bits = settings->rise_bits, each = FloorScore::BELOW_COST;
         const int *heights = this->heights(), *at = places + 3 * cells.count;
@@ -77,7 +83,10 @@ struct FloorRamps : FloorProfile {
             int here[CELLS] = {}, low[CELLS] = {};
             count<CELLS>(k, ranges, here, low);
             n = begin()[k + 1] - i < CELLS ? begin()[k + 1] - i : (int)CELLS;
-            for (int w = 0; w < n; w++) team.atomic_max(most() + k, here[w] - each * low[w]);
+            for (int w = 0; w < n; w++) {
+                worth()[i + w] = here[w] - each * low[w];
+                team.atomic_max(most() + k, worth()[i + w]);
+            }
         }
         team.sync();
         // Replaces the flat votes by their prefix sums, and the upper bounds by their suffix sums.
@@ -90,10 +99,56 @@ struct FloorRamps : FloorProfile {
         team.sync();
     }
 
-    // Raises `found` to an upper bound of the votes of any ramp: those for a flat floor before its start,
-    // and at most `most` beyond. `limits` must have run with the same tolerance.
-    void limit(const Team& team, int* found) const {
-        for (int k = team.rank; k < runs(); k += team.size) team.atomic_max(found, flat()[k] + most()[k]);
+    // Raises `found` to an upper bound of the votes of any ramp: the largest bound of all groups of
+    // ramps with similar start and turn. `limits` must have run with the same tolerance.
+    void limit(const Team& team, const int* slack, int* found) const {
+        const int *heights = this->heights(), middle_rise = half();
+        const int bits = settings->rise_bits;
+        for (int first = team.rank * ABREAST; first < STARTS * SECTORS; first += team.size * ABREAST) {
+            const int sector = first / STARTS;
+            const int turn = sector < SECTORS / 2 ? -MOST_TURN + sector * SECTOR
+                                                  : LEAST_TURN + (sector - SECTORS / 2) * SECTOR;
+            const int low_slope = angles.slope(turn), high_slope = angles.slope(turn + SECTOR);
+            const bool uphill = turn > 0;
+            int nearest[ABREAST], farthest[ABREAST], votes[ABREAST];
+            for (int w = 0; w < ABREAST; w++) {
+                nearest[w] = begins(first % STARTS + w);
+                farthest[w] = begins(first % STARTS + w + 1);
+                votes[w] = 0;
+            }
+            for (int k = 0; k < runs(); k++) {
+                const int from = begin()[k], to = begin()[k + 1], run = middle(k), s = slack[k];
+                if (from == to) continue;
+                const int level = flat()[k + 1] - flat()[k];
+                int lowest[ABREAST], highest[ABREAST], most[ABREAST];
+                for (int w = 0; w < ABREAST; w++) {
+                    const int far = run > nearest[w] ? run - nearest[w] : 0;
+                    const int near = run > farthest[w] ? run - farthest[w] : 0;
+                    const int low = low_slope * (uphill ? near : far);
+                    const int high = high_slope * (uphill ? far : near);
+                    lowest[w] = ((rounded(low) - s) >> bits) + middle_rise;
+                    highest[w] = ((rounded(high) + s) >> bits) + middle_rise;
+                    most[w] = 0;
+                }
+                for (int i = from; i < to; i++) {
+                    const int h = heights[i], own = worth()[i];
+                    for (int w = 0; w < ABREAST; w++) {
+                        const bool counts = (h >= lowest[w]) & (h < highest[w]) & (own > most[w]);
+                        most[w] = counts ? own : most[w];
+                    }
+                }
+                for (int w = 0; w < ABREAST; w++) votes[w] += run > nearest[w] ? most[w] : level;
+            }
+            for (int w = 0; w < ABREAST; w++) team.atomic_max(found, votes[w]);
+        }
+    }
+
+    // Smallest start of the ramps in group `i` of `limit` [depth units]; the largest is begins(i + 1).
+    // The groups cover the starts of the coarse lattice and of all fine lattices.
+    int begins(int i) const {
+        const int around = AROUND * settings->start_step;
+        const int* starts = settings->starts;
+        return i < STARTS ? starts[i] - around : starts[STARTS - 1] + around;
     }
 
     // Lowers `key` to the `FloorKey` of the first ramp of a lattice with the most votes, if it has at
