@@ -72,27 +72,13 @@ struct Measures {
     // Positions of the cells in the camera optical frame, and their heights [depth units].
     const int *xyz[3], *height;
     CellBoxes boxes;
-    // Results, one row per slot; see `Obstacles` in jaxdet/types.py.
+    // Results, one row per slot, 0 before; see `Obstacles` in jaxdet/types.py.
     int *count_out, *uv_min_out, *uv_max_out, *xyz_min_out, *xyz_max_out, *xyz_sum_out;
     int *a_out, *b_out, *c_out, *bottom_top_out;
     int* vertex_out;
 
     static int clipped(int value) {
         return value < -MOST_LATERAL ? -MOST_LATERAL : value > MOST_LATERAL ? MOST_LATERAL : value;
-    }
-
-    void clear(int slots) const {
-        const Team& team = cells.team;
-        for (int i = team.rank; i < slots; i += team.size) {
-            count_out[i] = 0;
-            vertex_out[i] = false;
-        }
-        for (int i = team.rank; i < 2 * slots; i += team.size) {
-            uv_min_out[i] = uv_max_out[i] = a_out[i] = b_out[i] = c_out[i] = 0;
-            bottom_top_out[i] = 0;
-        }
-        for (int i = team.rank; i < 3 * slots; i += team.size)
-            xyz_min_out[i] = xyz_max_out[i] = xyz_sum_out[2 * i] = xyz_sum_out[2 * i + 1] = 0;
     }
 
     // Writes whether C is a vertex, for each obstacle; A, B and C must have been written.

@@ -28,8 +28,10 @@ struct Outlines {
     const Measures& measures;
     int slots, longest;
     const int* directions;  // (DIRECTIONS, 2): candidate directions, right and forward
-    // Results, one row per slot; a contour has room for one point per column.
-    int *contour_out, *points_out, *direction_out, *span_out;
+    // Results, one row per slot; a contour has room for one point per column. `results` has all of them
+    // and those of `measures`, except for the contours.
+    int *contour_out, *points_out, *direction_out, *span_out, *results;
+    int result_words;
     // Key of the nearest cell of each obstacle in each column: its squared distance, then its index.
     unsigned long long* nearest;
     // Area and cost of the rectangle of each obstacle in each direction; they decide the direction.
@@ -54,7 +56,6 @@ struct Outlines {
     void run() const {
         const Team& team = cells.team;
         clear();
-        measures.clear(slots);
         cells.clear();
         team.sync();
         cells.listed.take(team, cells.cells, cells.label, cells.count, cells.right, cells.forward);
@@ -84,13 +85,10 @@ struct Outlines {
     void clear() const {
         const Team& team = cells.team;
         const int used = cells.count * cells.columns, points = slots * cells.columns;
-        const unsigned long long none = ~0ull;
         unsigned long long* const pairs = (unsigned long long*)contour_out;
-        for (int i = team.rank; i < used; i += team.size) nearest[i] = none;
+        for (int i = team.rank; i < used; i += team.size) nearest[i] = ~0ull;
         for (int i = team.rank; i < points; i += team.size) pairs[i] = 0;
-        for (int i = team.rank; i < slots; i += team.size) points_out[i] = 0;
-        for (int i = team.rank; i < 2 * slots; i += team.size) direction_out[i] = 0;
-        for (int i = team.rank; i < 4 * slots; i += team.size) span_out[i] = 0;
+        for (int i = team.rank; i < result_words; i += team.size) results[i] = 0;
     }
 
     // Counts the cells of the parts of each obstacle, and finds its nearest cell in each column.

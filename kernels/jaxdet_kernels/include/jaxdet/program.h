@@ -184,7 +184,8 @@ struct Frame {
                                 num_points, uv_min, uv_max, xyz_min, xyz_max, xyz_sum, a, b, c,
                                 bottom_top, has_vertex};
         Outlines outlines{cells, warp, measures, SLOTS, outline_settings[Outlines::LONG],
-                          directions, contour, contour_points, direction, span};
+                          directions, contour, contour_points, direction, span, num_points,
+                          (int)(free_ranges - num_points)};
         outlines.allocate(arena, cells);
         use(outlines);
     }
