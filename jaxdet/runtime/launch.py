@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -31,7 +31,7 @@ def on_cores(kernel: Any, arguments: Sequence[Any], frames: int, scratch: int) -
         kernel: Kernel with parameters ``arguments``, then ``scratch (words,)`` int32, which is
             reused by later calls, and ``next (1,)`` int32, the first frame that no thread has
             taken.
-        arguments: Warp arrays and numbers.
+        arguments: Warp structs and numbers.
         frames: ``B``.
         scratch: Number of words of scratch memory per thread.
     """
@@ -65,43 +65,31 @@ def _memory(thread: int, words: int) -> Any:
     return _kept[thread]
 
 
-def by_frame(module: Any, kernel: Any, arguments: Sequence[Any], frames: int, scratch: Any) -> None:
+def by_frame(module: Any, kernel: Any, batch: Any, frames: int, scratch: Any) -> None:
     """Launch a kernel whose threads on the CPU, or teams of threads on CUDA, take frames in turn.
 
     Args:
         module: Module with ``WIDTH``, the number of threads per team.
-        kernel: Kernel with parameters ``arguments``, ``scratch`` and ``next``, see
-            :func:`on_cores`.
-        arguments: Warp arrays.
+        kernel: Kernel with parameters ``batch``, ``scratch`` and ``next``, see :func:`on_cores`.
+        batch: Its arrays, see :func:`filled`.
         frames: ``B``.
         scratch: Memory ``(teams, words)`` int32; on the CPU only its width is used.
     """
     teams, words = scratch.shape
     if scratch.device.is_cpu:
-        on_cores(kernel, arguments, frames, words)
+        on_cores(kernel, [batch], frames, words)
         return
     memory = scratch.flatten()
-    inputs, size = [*arguments, memory, memory], teams * module.WIDTH
+    inputs, size = [batch, memory, memory], teams * module.WIDTH
     wp.launch(kernel, size, inputs, device=scratch.device, block_dim=module.WIDTH)
 
 
-class TeamKernel(NamedTuple):
-    """CUDA kernel whose blocks take the frames of a batch in turn, see ``team.h``.
-
-    Its parameters are arrays, numbers and finally ``teams``, the number of blocks.
-    """
-
-    kernel: Any
-    width: int
-    """Number of threads per block."""
-    blocks: int
-    """Number of blocks that are resident on a multiprocessor at once."""
-
-    def launch(self, arguments: Sequence[Any], frames: int, most: int) -> None:
-        """Launch the kernel on the device of the first array, with at most ``most`` teams."""
-        teams = min(frames, most, self.blocks * MULTIPROCESSORS)
-        size, device = teams * self.width, arguments[0].device
-        wp.launch(self.kernel, size, [*arguments, teams], device=device, block_dim=self.width)
+def filled(struct: Any, **fields: Any) -> Any:
+    """Return an instance of a Warp struct with these fields."""
+    made = struct()
+    for name, value in fields.items():
+        setattr(made, name, value)
+    return made
 
 
 def reported_words(module: Any, inputs: Sequence[Any], device: Any) -> int:

@@ -3,7 +3,6 @@
 from functools import lru_cache
 
 import numpy as np
-import warp as wp
 
 from jaxdet.config import Config
 from jaxdet.floor.units import FloorFit, floor_fit
@@ -43,23 +42,14 @@ def _run(
     frames: Frames, prior: GroundPlane, config: Config, steps: int, *, keep_work: bool
 ) -> tuple[Rows, Static]:
     """Run the first steps on all frames; return their results and the sizes of the program."""
-    tables, static = _tables(frames.calibration, config)
-    given = frames.depth, _program.floors(prior, config, frames.calibration.depth_unit), tables
-    record, contour, work = static.words(keep_work)
-    batch = len(frames.depth)
-    shapes = (batch, record), (batch, contour), (batch, work) if keep_work else (1, 1)
-    rows = Rows(*(np.zeros(shape, np.int32) for shape in shapes))
-    arrays = [
-        wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device="cpu", copy=False)
-        for a in map(np.ascontiguousarray, (*given, *rows))
-    ]
-    _program.launch(arrays, None, 0, steps, static)
-    return rows, static
+    tables = _tables(frames.calibration, config)
+    floors = _program.floors(prior, config, frames.calibration.depth_unit)
+    given = frames.depth, floors, tables
+    return _program.run("cpu", given, steps, keep_work=keep_work), Static.of(tables)
 
 
 @lru_cache(maxsize=8)
-def _tables(calibration: Calibration, config: Config) -> tuple[np.ndarray, Static]:
+def _tables(calibration: Calibration, config: Config) -> np.ndarray:
     load_for_cpu(_program.kernels)
     check_kernels("cpu")
-    tables = _program.packed(*_program.host_tables(calibration, config), "cpu")
-    return tables, Static.of(tables)
+    return _program.packed(*_program.host_tables(calibration, config), "cpu")

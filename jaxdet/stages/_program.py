@@ -10,6 +10,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+import warp as wp
 
 from jaxdet.affinity import affinity
 from jaxdet.camera import cell_side
@@ -17,7 +18,7 @@ from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.plane import depth_range
 from jaxdet.floor.units import Scale, prior_units
-from jaxdet.runtime.launch import TeamKernel, on_cores, reported_words
+from jaxdet.runtime.launch import INT32, MULTIPROCESSORS, filled, on_cores, reported_words
 from jaxdet.runtime.layout import Layout
 from jaxdet.stages._tables import (
     Tables,
@@ -47,7 +48,6 @@ from jaxdet_kernels import program as kernels
 STEPS = tuple(kernels.STEPS)
 FLOOR_STEPS = STEPS.index("find_floor") + 1
 """Number of steps up to and including floor estimation."""
-_TEAMS = [TeamKernel(kernel, kernels.WIDTH, kernels.BLOCKS) for kernel in kernels.STEPS.values()]
 _FIXED = (
     "near", "steps", "limits", "rises", "bows", "drops", "bands",
     "surface_settings", "outline_settings", "free_settings", "last", "directions", "bearings",
@@ -218,6 +218,34 @@ def detections(rows: Rows, static: Static, with_cells: bool, xp: Any) -> Detecti
     )
 
 
+def run(
+    device: Any, given: tuple[np.ndarray, np.ndarray, np.ndarray], steps: int, *, keep_work: bool
+) -> Rows:
+    """Run the first steps on a Warp device, without JAX; arrays on the CPU are not copied.
+
+    Args:
+        device: Device for which the kernels are loaded.
+        given: Depth images, the result of :func:`floors`, and that of :func:`packed`.
+        steps: Number of steps.
+        keep_work: Whether to return the intermediate arrays.
+
+    Returns:
+        NumPy arrays.
+    """
+    static, batch = Static.of(given[2]), len(given[0])
+    record, contour, work = static.words(keep_work)
+    shapes = (batch, record), (batch, contour), (batch, work) if keep_work else (1, 1)
+    arrays = [
+        wp.array(array, dtype=wp.dtype_from_numpy(array.dtype), device=device, copy=False)
+        for array in map(np.ascontiguousarray, given)
+    ]
+    arrays += [wp.zeros(shape, dtype=INT32, device=device) for shape in shapes]
+    is_cpu = arrays[0].device.is_cpu
+    scratch = None if is_cpu else wp.empty((batch, static.own_words), dtype=INT32, device=device)
+    launch(arrays, scratch, 0, steps, static)
+    return Rows(*(array.numpy() for array in arrays[3:]))
+
+
 def launch(arrays: list[Any], scratch: Any, first: int, end: int, static: Static) -> None:
     """Launch the steps ``STEPS[first:end]`` on Warp arrays, on their device.
 
@@ -228,11 +256,16 @@ def launch(arrays: list[Any], scratch: Any, first: int, end: int, static: Static
         end: Index after the last step.
         static: Sizes of the program.
     """
-    depth, rows, columns = arrays[0], static.rows, static.columns
-    if depth.device.is_cpu:
-        inputs = [*arrays, rows, columns, first, end - 1]
+    frames, rows, columns = len(arrays[0]), static.rows, static.columns
+    names = "depth", "floors", "tables", "record", "contour", "work"
+    named = dict(zip(names, arrays, strict=True))
+    batch = filled(kernels.Batch, rows=rows, columns=columns, **named)
+    if arrays[0].device.is_cpu:
         words = work_layout(rows, columns).words + static.own_words
-        on_cores(kernels.frames, inputs, len(depth), words)
+        on_cores(kernels.frames, [batch, first, end - 1], frames, words)
         return
-    for step in _TEAMS[first:end]:
-        step.launch([*arrays, scratch, rows, columns], len(depth), len(scratch))
+    teams = min(frames, len(scratch), kernels.BLOCKS * MULTIPROCESSORS)
+    size, device = teams * kernels.WIDTH, scratch.device
+    for step in STEPS[first:end]:
+        inputs = [batch, scratch, teams]
+        wp.launch(kernels.STEPS[step], size, inputs, device=device, block_dim=kernels.WIDTH)

@@ -15,48 +15,46 @@ WIDTH, BLOCKS = 256, 4
 
 Color, Rows, Words = wp.array4d[wp.uint8], wp.array2d[wp.int32], wp.array[wp.int32]
 TYPES = Color, Words, Rows, Rows, Words, Rows
-"""Types of the arrays of a call of :func:`corners`."""
+"""Types of the arrays of a call: those of a batch, and scratch memory."""
 
 MAX_SIZE = 4096  # a row and a column fit in 32 bits
 """Maximum number of columns and rows of a colour image: pixel indices have 24 bits."""
 
 
+@wp.struct
+class Batch:
+    """Arrays of a batch of frames."""
+
+    color: Color  # (B, H, W, 3) RGB
+    settings: Words  # (5,) see corners.h
+    u: Rows  # (B, N) result: columns, strongest corner first; 0 in empty slots
+    v: Rows  # rows
+    number: Words  # (B,) result: number of corners, at most N + 1
+
+
 @wp.func_native("""
     using namespace jaxdet;
-    const int frames = color.shape[0], height = color.shape[1], width = color.shape[2];
-    const int slots = u_out.shape[1];
-    const Corners corners{height, width, {settings.data}, slots};
+    const auto& of = batch;
+    const int height = of.color.shape[1], width = of.color.shape[2], slots = of.u.shape[1];
+    const Corners corners{height, width, {of.settings.data}, slots};
     by_frames<Corners::Shared>(
-        tid, frames, next.data, scratch.data, scratch.shape[0],
+        tid, of.color.shape[0], next.data, scratch.data, scratch.shape[0],
         [&](size_t b, const Team& team, Corners::Shared& shared, int* own) {
-            corners.run(team, shared, color.data + 3 * b * height * width, own,
-                        u_out.data + b * slots, v_out.data + b * slots, found_out.data + b);
+            corners.run(team, shared, of.color.data + 3 * b * height * width, own,
+                        of.u.data + b * slots, of.v.data + b * slots, of.number.data + b);
         });
 """)
-def _corners(
-    tid: int,
-    color: Color,
-    settings: Words,
-    u_out: Rows,
-    v_out: Rows,
-    found_out: Words,
-    scratch: Words,
-    next: Words,
-): ...
+def _corners(tid: int, batch: Batch, scratch: Words, next: Words): ...
 
 
 @wp.kernel(launch_bounds=(WIDTH, BLOCKS))
 def corners(
-    color: Color,  # (B, H, W, 3) RGB
-    settings: Words,  # (5,) see corners.h
-    u_out: Rows,  # (B, N) columns, strongest corner first; 0 in empty slots
-    v_out: Rows,  # rows
-    found_out: Words,  # (B,) number of corners, at most N + 1
+    batch: Batch,
     scratch: Words,  # scratch memory of one thread on the CPU, of all teams on CUDA
     next: Words,  # (1,) index of the first frame that no CPU thread has taken
 ):
     """Process frames until none is left; on CUDA, frames are assigned to teams in turn."""
-    _corners(wp.tid(), color, settings, u_out, v_out, found_out, scratch, next)
+    _corners(wp.tid(), batch, scratch, next)
 
 
 @wp.func_native("words.data[0] = jaxdet::Corners::scratch_words(height, width);")

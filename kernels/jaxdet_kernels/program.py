@@ -16,55 +16,51 @@ Depth = wp.array3d[wp.uint16]
 Rows = wp.array2d[wp.int32]
 Words = wp.array[wp.int32]
 TYPES = Depth, Rows, Words, Rows, Rows, Rows, Rows
-"""Types of the arrays of a call of a step's kernel."""
+"""Types of the arrays of a call: those of a batch, and scratch memory."""
+
+
+@wp.struct
+class Batch:
+    """Arrays of a batch of frames, and the size of the grid of cells."""
+
+    depth: Depth  # (B, Hd, Wd) [depth units], 0 = no measurement
+    floors: Rows  # (B, 17) prior floors, then the floor frames used if no floor is found
+    tables: Words  # header, then the tables for a camera and a configuration
+    record: Rows  # (B, words) records of results
+    contour: Rows  # (B, M C 2) contours from left to right, right and forward
+    work: Rows  # (B, work_words) intermediate arrays, or (1, 1) if they are not kept
+    rows: int  # rows of the grid of cells
+    columns: int
+
 
 _BATCH = """
-    const jaxdet::Batch batch{
-        depth.data, floors.data, tables.data, record.data, contour.data, work.data,
-        depth.shape[0], depth.shape[1] * depth.shape[2],
-        record.shape[1], contour.shape[1], work.shape[1], rows, columns};
+    const jaxdet::Batch frames{
+        batch.depth.data, batch.floors.data, batch.tables.data, batch.record.data,
+        batch.contour.data, batch.work.data, batch.depth.shape[0],
+        batch.depth.shape[1] * batch.depth.shape[2], batch.record.shape[1],
+        batch.contour.shape[1], batch.work.shape[1], batch.rows, batch.columns};
 """
 
 
 @wp.func_native(f"""
 #if !defined(__CUDA_ARCH__)
     {_BATCH}
-    batch.by_threads(next.data, first, last, scratch.data);
+    frames.by_threads(next.data, first, last, scratch.data);
 #endif
 """)
-def _frames(
-    depth: Depth,
-    floors: Rows,
-    tables: Words,
-    record: Rows,
-    contour: Rows,
-    work: Rows,
-    rows: int,
-    columns: int,
-    first: int,
-    last: int,
-    scratch: Words,
-    next: Words,
-): ...
+def _frames(batch: Batch, first: int, last: int, scratch: Words, next: Words): ...
 
 
 @wp.kernel
 def frames(
-    depth: Depth,  # (B, Hd, Wd) [depth units], 0 = no measurement
-    floors: Rows,  # (B, 17) prior floors, then the floor frames used if no floor is found
-    tables: Words,  # header, then the tables for a camera and a configuration
-    record: Rows,  # (B, words) records of results
-    contour: Rows,  # (B, M C 2) contours from left to right, right and forward
-    work: Rows,  # (B, work_words) intermediate arrays, or (1, 1) if they are not kept
-    rows: int,  # rows of the grid of cells
-    columns: int,
+    batch: Batch,
     first: int,  # index of the first step, see STEPS
     last: int,
     scratch: Words,  # intermediate arrays, then scratch memory
     next: Words,
 ):
     """Process frames until none is left, on the CPU."""
-    _frames(depth, floors, tables, record, contour, work, rows, columns, first, last, scratch, next)
+    _frames(batch, first, last, scratch, next)
 
 
 @wp.func_native("""
@@ -84,25 +80,13 @@ def scratch_words(tables: Words, rows: int, columns: int, words: Words):
 def _step(name: str, blocks: int) -> Any:
     """Return the CUDA kernel of a step; the frames of a batch are assigned to teams in turn."""
 
-    def native(
-        tid: int,
-        depth: Depth,
-        floors: Rows,
-        tables: Words,
-        record: Rows,
-        contour: Rows,
-        work: Rows,
-        scratch: Rows,
-        rows: int,
-        columns: int,
-        teams: int,
-    ): ...
+    def native(tid: int, batch: Batch, scratch: Rows, teams: int): ...
 
     native.__name__ = native.__qualname__ = f"_{name}"
     snippet = f"""
 #if defined(__CUDA_ARCH__)
     {_BATCH}
-    batch.by_teams(tid, teams, scratch.data, scratch.shape[1],
+    frames.by_teams(tid, teams, scratch.data, scratch.shape[1],
         [](const jaxdet::Frame& frame, const jaxdet::Team& team, int* own) {{
             frame.{name}(team, own);
         }});
@@ -110,21 +94,8 @@ def _step(name: str, blocks: int) -> Any:
 """
     function = wp.func_native(snippet)(native)
 
-    def kernel(
-        depth: Depth,
-        floors: Rows,
-        tables: Words,
-        record: Rows,
-        contour: Rows,
-        work: Rows,
-        scratch: Rows,
-        rows: int,
-        columns: int,
-        teams: int,
-    ):
-        function(
-            wp.tid(), depth, floors, tables, record, contour, work, scratch, rows, columns, teams
-        )
+    def kernel(batch: Batch, scratch: Rows, teams: int):
+        function(wp.tid(), batch, scratch, teams)
 
     return wp.kernel(kernel, name=name, launch_bounds=(WIDTH, blocks))
 

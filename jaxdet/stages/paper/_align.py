@@ -16,7 +16,7 @@ from jaxdet.runtime.calls import (
     most_teams,
     uninterrupted,
 )
-from jaxdet.runtime.launch import by_frame, reported_words
+from jaxdet.runtime.launch import by_frame, filled, reported_words
 from jaxdet.stages._tables import parameters
 from jaxdet.types import AlignedDepth, Array, Calibration
 from jaxdet_kernels import align as kernels
@@ -74,8 +74,9 @@ def align_arrays(
 def _align(
     depth: Any, rays: Any, tile_rays: Any, parameters: Any, u: Any, v: Any, keys: Any, scratch: Any
 ) -> None:
-    inputs = [depth, rays, tile_rays, parameters, u, v, keys]
-    by_frame(kernels, kernels.align, inputs, len(depth), scratch)
+    arrays = {"depth": depth, "rays": rays, "tile_rays": tile_rays, "u": u, "v": v, "keys": keys}
+    batch = filled(kernels.Batch, parameters=parameters, **arrays)
+    by_frame(kernels, kernels.align, batch, len(depth), scratch)
 
 
 def moved_size(calibration: Calibration) -> tuple[int, int] | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxdet.config import FeaturesConfig
 from jaxdet.runtime.calls import by_device, device_of_jax, jax_callable, most_teams
-from jaxdet.runtime.launch import by_frame, reported_words
+from jaxdet.runtime.launch import by_frame, filled, reported_words
 from jaxdet_kernels import features as kernels
 
 
@@ -44,16 +44,14 @@ def strongest_corners(
     words = reported_words(kernels, [height, width], device_of_jax(kernels))
 
     def corners(teams: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-        found = dict.fromkeys(("u_out", "v_out"), (batch, slots))
-        dims = {**found, "found_out": (batch,), "scratch": (teams, words)}
+        found = dict.fromkeys(("u", "v"), (batch, slots))
+        dims = {**found, "number": (batch,), "scratch": (teams, words)}
         return _corners(color, settings, output_dims=dims)[:3]
 
     return by_device(lambda: corners(1), lambda: corners(most_teams(batch, words, kernels.BLOCKS)))
 
 
 @jax_callable(kernels, kernels.TYPES, outputs=4)
-def _corners(
-    color: Any, settings: Any, u_out: Any, v_out: Any, found_out: Any, scratch: Any
-) -> None:
-    inputs = [color, settings, u_out, v_out, found_out]
-    by_frame(kernels, kernels.corners, inputs, len(color), scratch)
+def _corners(color: Any, settings: Any, u: Any, v: Any, number: Any, scratch: Any) -> None:
+    batch = filled(kernels.Batch, color=color, settings=settings, u=u, v=v, number=number)
+    by_frame(kernels, kernels.corners, batch, len(color), scratch)

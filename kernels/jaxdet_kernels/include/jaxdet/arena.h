@@ -22,12 +22,10 @@ struct Arena {
 #endif
         return place;
     }
-    unsigned long long* longs(int count) { return (unsigned long long*)words(2 * count); }
+    // Allocates several arrays of `count` words each.
+    template <class... Arrays> void take(int count, Arrays*&... all) {
+        ((all = (Arrays*)words(count)), ...);
+    }
 };
-
-// Allocates several arrays of `words` words each.
-template <class... Arrays> void take(Arena& arena, int words, Arrays*&... all) {
-    ((all = (Arrays*)arena.words(words)), ...);
-}
 
 } }  // namespace jaxdet

@@ -76,76 +76,9 @@ struct CellDepth {
         return count ? (int)((2.0 * sum + count) / (2.0 * count)) : 0;
     }
 
-#if defined(__CUDA_ARCH__)
-    enum { SMALL = 4 };
-
-    // Returns the same as `depth`, for a side that is a compile-time constant of at most SMALL pixels, so
-    // that the values stay in registers.
-    __forceinline__ int depth_of_small(int constant, int* nearest) const {
-        const int all = constant * constant;
-        int value[SMALL * SMALL], sorted[SMALL * SMALL];
-#pragma unroll
-        for (int v = 0; v < constant; ++v)
-#pragma unroll
-            for (int u = 0; u < constant; ++u) value[v * constant + u] = first[v * stride + u];
-        int count = 0, sum = 0, high = 0;
-#pragma unroll
-        for (int i = 0; i < all; ++i) {
-            count += value[i] != 0;
-            sum += value[i];
-            high = value[i] > high ? value[i] : high;
-            sorted[i] = value[i] ? value[i] : 65536;
-        }
-        int least = 65536;
-#pragma unroll
-        for (int i = 0; i < all; ++i) least = min(least, sorted[i]);
-        *nearest = least & 65535;
-        if (2 * count < all || !count) return 0;
-        sort(sorted, all);
-        if (high - sorted[0] > near[sorted[0]]) {
-            const int place = (count - 1) / 2;
-            int median = 0;
-#pragma unroll
-            for (int i = 0; i < all; ++i) median = i == place ? sorted[i] : median;
-            const int reach = near[median];
-            count = sum = 0;
-#pragma unroll
-            for (int i = 0; i < all; ++i) {
-                const int apart = value[i] < median ? median - value[i] : value[i] - median;
-                const bool counts = value[i] && apart <= reach;
-                count += counts;
-                sum += counts ? value[i] : 0;
-            }
-        }
-        return (2 * sum + count) / (2 * count);
-    }
-
-    // Batcher's odd-even merge sort; all loops have a fixed length.
-    __forceinline__ void sort(int* values, int all) const {
-#pragma unroll
-        for (int m = 0; m < 4; ++m)
-#pragma unroll
-            for (int n = 0; n < 4; ++n)
-#pragma unroll
-                for (int i = 0; i < SMALL * SMALL; ++i) {
-                    if (n > m) continue;
-                    const int part = 1 << m, apart = 1 << (m - n), k = i - (n ? apart : 0);
-                    if (i + apart >= all || k < 0 || (k & apart)) continue;
-                    if (i / (2 * part) != (i + apart) / (2 * part)) continue;
-                    const int one = values[i], other = values[i + apart];
-                    values[i] = min(one, other);
-                    values[i + apart] = max(one, other);
-                }
-    }
-#endif
-
     // Returns the depth of the cell, 0 if too few of its pixels are measured. Sets `nearest` to its
     // smallest measured depth, 0 if no pixel is measured.
     int depth(int* nearest) const {
-#if defined(__CUDA_ARCH__)
-        if (side == 3) return depth_of_small(3, nearest);
-        if (side == 4) return depth_of_small(4, nearest);
-#endif
         Pixels all = pixels();
         *nearest = all.low & 65535;
         keep_near(all);
@@ -153,111 +86,131 @@ struct CellDepth {
     }
 };
 
-#if !defined(__CUDA_ARCH__)
-// CellDepth for LANES adjacent cells at once, in vectors.
+// CellDepth for LANES adjacent cells at once, in vectors. On CUDA this is one cell per thread, whose
+// pixels stay in registers.
 struct CellRow {
     typedef Vectors::Words Words;  // one value per cell
     typedef Vectors::Wide Wide;
-    enum { LANES = Vectors::SHORTS, MOST_SIDE = 8, NONE = 65535 };
+    enum { LANES = Vectors::SHORTS, MOST_SIDE = LANES > 1 ? 8 : 4 };
+    static constexpr Vectors::Word NONE = 65535;
     const int* near;  // tolerance around the median, as in CellDepth
-    // Depth minus one of each pixel, indexed by its position in the cell. So a missing measurement is
-    // larger than any depth.
-    unsigned short pixel[MOST_SIDE * MOST_SIDE][LANES];
+    // Depth minus one of each pixel, in 16 bits, indexed by its position in the cell. So a missing
+    // measurement is larger than any depth.
+    Vectors::Word pixel[MOST_SIDE * MOST_SIDE][LANES];
 
-    explicit CellRow(const int* near) : near(near) {}
+    explicit __attribute__((always_inline)) CellRow(const int* near) : near(near) {}
 
-    Words& at(int p) { return *(Words*)pixel[p]; }
+    __attribute__((always_inline)) Words& at(int p) { return *(Words*)pixel[p]; }
 
     // Tolerance at a depth; `one` is the depth minus one.
-    int reach(unsigned short one) const {
+    int reach(unsigned one) const {
         const int reach = near[(one + 1) & 65535];
-        return reach < NONE ? reach : (int)NONE;
+        return reach < (int)NONE ? reach : (int)NONE;
     }
 
     // Computes the depths of adjacent cells, the first of which begins at pixel `first`; the side is at
     // most MOST_SIDE. Callers pass a constant side, so that the pixels of a row are distributed by
-    // shuffles.
-    __attribute__((always_inline)) inline void run(const unsigned short* first, int stride,
-                                                   int side, int* out,
-                                                   int* nearest) {
+    // shuffles, or on CUDA that the loops are unrolled.
+    __attribute__((always_inline)) void run(const unsigned short* first, int stride, int side, int* out,
+                                            int* nearest) {
         const int all = side * side;
+        JAXDET_UNROLL_ON_CUDA
         for (int v = 0; v < side; ++v)
             for (int k = 0; k < LANES; ++k)
+                JAXDET_UNROLL_ON_CUDA
                 for (int u = 0; u < side; ++u)
                     pixel[v * side + u][k] = (unsigned short)(first[v * stride + k * side + u] - 1);
-        Words low = (Words){} - 1, high = {}, count = {};
+        const Words zero = {}, one = zero + 1;
+        Words low = zero + NONE, high = zero, count = zero;
+        JAXDET_UNROLL_ON_CUDA
         for (int p = 0; p < all; ++p) {
-            const Words depth = at(p) + 1;
-            low = low < at(p) ? low : at(p);
+            const Words less = at(p), depth = (less + 1) & NONE;
+            low = low < less ? low : less;
             high = high > depth ? high : depth;
-            count -= (Words)(depth != 0);
+            count += depth != 0 ? one : zero;
         }
-        *(Wide*)nearest = __builtin_convertvector((Words)(low + 1), Wide);
-        const Words enough = (Words)(count * 2 >= (unsigned short)all);
-        Wide sum = {};
+        Wide sum = {}, parts, depth;
+        Vectors::widen((low + 1) & NONE, (Wide*)nearest);
+        const Words enough = count * 2 >= (Vectors::Word)all ? one : zero;
         if (are_uneven(low, high)) {
             sort(all);
             Words median = at(0);
-            for (int p = 1; p <= (all - 1) / 2; ++p)
-                median = (count - 1) / 2 == (unsigned short)p ? at(p) : median;
-            unsigned short medians[LANES], reaches[LANES];
-            *(Words*)medians = median;
-            for (int k = 0; k < LANES; ++k) reaches[k] = (unsigned short)reach(medians[k]);
+            JAXDET_UNROLL_ON_CUDA
+            for (int p = 1; p <= (all - 1) / 2; ++p) {
+                const Words less = at(p);
+                median = (count - 1) / 2 == (Vectors::Word)p ? less : median;
+            }
+            Vectors::Word reaches[LANES];
+            *(Words*)reaches = median;
+            for (int k = 0; k < LANES; ++k) reaches[k] = (Vectors::Word)reach(reaches[k]);
             const Words most_apart = *(Words*)reaches;
-            count = (Words){};
+            count = zero;
+            JAXDET_UNROLL_ON_CUDA
             for (int p = 0; p < all; ++p) {
-                const Words apart = at(p) > median ? at(p) - median : median - at(p);
-                const Words depth = apart <= most_apart ? at(p) + 1 : (Words){};
-                count -= (Words)(depth != 0);
-                sum += __builtin_convertvector(depth, Wide);
+                const Words less = at(p), apart = less > median ? less - median : median - less;
+                const Words counted = apart <= most_apart ? (less + 1) & NONE : zero;
+                count += counted != 0 ? one : zero;
+                Vectors::widen(counted, &depth);
+                sum += depth;
             }
         } else {
-            for (int p = 0; p < all; ++p)
-                sum += __builtin_convertvector((Words)(at(p) + 1), Wide);
+            JAXDET_UNROLL_ON_CUDA
+            for (int p = 0; p < all; ++p) {
+                Vectors::widen((at(p) + 1) & NONE, &depth);
+                sum += depth;
+            }
         }
         // The mean is rounded to the nearest integer, halves up. The quotients are at least 2^-7 below
         // the next integer, so float32 never rounds them up to it.
-        const Wide parts = __builtin_convertvector(count, Wide);
-        const Vectors::WideFloats mean =
-            __builtin_convertvector(sum * 2 + parts, Vectors::WideFloats)
-            / __builtin_convertvector(parts ? parts * 2 : 1, Vectors::WideFloats);
-        const Wide depth = __builtin_convertvector(mean, Wide);
-        *(Wide*)out = __builtin_convertvector(enough, Wide) ? depth : (Wide){};
+        Vectors::widen(count, &parts);
+        Vectors::divide(sum * 2 + parts, parts ? parts * 2 : 1, &depth);
+        Vectors::widen(enough, &parts);
+        *(Wide*)out = depth * parts;
     }
 
     // Whether some depths of a cell may lie outside the tolerance of its median. If the farthest depth
     // is within the tolerance of the nearest, none does, because the tolerance grows with depth.
-    bool are_uneven(const Words& low, const Words& high) const {
-        const Words spread = high > low ? high - low : (Words){};
-        const int widest = NONE - Vectors::least(~spread);
+    __attribute__((always_inline)) bool are_uneven(const Words& low, const Words& high) const {
+        const Words zero = {}, spread = high > low ? high - low : zero;
+        const int widest = (int)NONE - Vectors::least(NONE - spread);
         return widest - 1 > reach(Vectors::least(low));
     }
 
     // Sorts the pixels of each cell by depth with Batcher's odd-even merge sort. Loops over many pixels
     // are not unrolled, and clang's warning about that is ignored.
-    __attribute__((always_inline)) inline void sort(int all) {
+    __attribute__((always_inline)) void sort(int all) {
+#if defined(__CUDA_ARCH__)
+        // NVRTC unrolls only loops with constant bounds.
+        JAXDET_UNROLL
+        for (int m = 0; m < 4; ++m)
+            JAXDET_UNROLL
+            for (int n = 3; n >= 0; --n)
+                JAXDET_UNROLL
+                for (int k = 0; k < MOST_SIDE * MOST_SIDE; ++k)
+                    if (n <= m) exchange(k, 1 << m, 1 << n, all);
+#else
 #if defined(__clang__)
 #pragma clang diagnostic ignored "-Wpass-failed"
-#pragma clang loop unroll(full)
 #endif
+        JAXDET_UNROLL
         for (int part = 1; part < all; part *= 2)
-#if defined(__clang__)
-#pragma clang loop unroll(full)
-#endif
+            JAXDET_UNROLL
             for (int apart = part; apart; apart /= 2)
-#if defined(__clang__)
-#pragma clang loop unroll(full)
+                JAXDET_UNROLL
+                for (int k = 0; k + apart < all; ++k) exchange(k, part, apart, all);
 #endif
-                for (int k = apart % part; k + apart < all; ++k) {
-                    // A step compares positions of every second group of `apart`, both in the same
-                    // pair of parts.
-                    if ((k - apart % part) & apart || (k ^ (k + apart)) >= 2 * part) continue;
-                    const Words one = at(k), other = at(k + apart);
-                    at(k) = one < other ? one : other;
-                    at(k + apart) = one < other ? other : one;
-                }
+    }
+
+    // Sorts pixels k and k + apart. A step of the sort compares positions of every second group of
+    // `apart`, both in the same pair of parts.
+    __attribute__((always_inline)) void exchange(int k, int part, int apart, int all) {
+        const int first = apart % part;
+        if (k < first || k + apart >= all) return;
+        if ((k - first) & apart || (k ^ (k + apart)) >= 2 * part) return;
+        const Words one = at(k), other = at(k + apart);
+        at(k) = one < other ? one : other;
+        at(k + apart) = one < other ? other : one;
     }
 };
-#endif
 
 } }  // namespace jaxdet

@@ -1,13 +1,13 @@
 // Cells of the depth image: one depth and one 3D position per cell. Twin of jaxdet/reference/_cells.py.
 #pragma once
-#include "team.h"
 #include "cell_depth.h"
+#include "team.h"
 #include "warp.h"
 
 namespace jaxdet { namespace {
 
 struct CellGrid {
-    enum { RAY_BITS = 20, MOST_COLUMNS = 4096 };
+    enum { RAY_BITS = 20 };
     const unsigned short* depth;    // (height, width) depth image
     int width, rows, columns, side;
     const int* near;                // tolerance around the median of a cell, see `CellDepth`
@@ -31,58 +31,46 @@ struct CellGrid {
         z_out[k] = d;
     }
 
-#if !defined(__CUDA_ARCH__)
-    // Computes the depths of a row of cells, and their smallest measured depths.
-    void depths(int row, CellRow& row_depths, int* d) const {
-        enum { LANES = CellRow::LANES };
-        if (side > CellRow::MOST_SIDE || columns < LANES) {
-            for (int column = 0; column < columns; ++column)
-                d[column] = cell(row, column).depth(nearest_out + row * columns + column);
-            return;
-        }
-        int* const nearest = nearest_out + row * columns;
-        for (int start = 0; start < columns; start += LANES) {
-            // The last vector overlaps the one before it if the row is not a multiple of LANES.
-            const int from = start < columns - LANES ? start : columns - LANES;
-            const unsigned short* first = cell(row, from).first;
-            // Prefetches the next row of cells.
-            for (int v = side; row + 1 < rows && v < 2 * side; ++v)
-                for (int u = 0; u < LANES * side; u += 32) __builtin_prefetch(first + v * width + u);
-            switch (side) {
-                case 1: row_depths.run(first, width, 1, d + from, nearest + from); break;
-                case 2: row_depths.run(first, width, 2, d + from, nearest + from); break;
-                case 3: row_depths.run(first, width, 3, d + from, nearest + from); break;
-                case 4: row_depths.run(first, width, 4, d + from, nearest + from); break;
-                case 5: row_depths.run(first, width, 5, d + from, nearest + from); break;
-                default: row_depths.run(first, width, side, d + from, nearest + from);
-            }
-        }
-    }
-#endif
-
+    // Computes the cells of the image. Ends in a sync.
     void run(const Team& team) const {
-        const int all = rows * columns;
-#if defined(__CUDA_ARCH__)
         const Warp warp(team);
+        const bool fits = side <= CellRow::MOST_SIDE && columns >= CellRow::LANES;
+        const int all = rows * columns, lanes = fits ? (int)CellRow::LANES : 1;
         for (int row = warp.index; row < rows; row += warp.count)
-            for (int column = warp.lane; column < columns; column += Warp::size) {
-                const int k = row * columns + column;
-                // Load the ray before computing the depth, so that the latencies of both loads overlap.
-                const int ray_x = rays[k], ray_y = rays[all + k];
-                place(k, ray_x, ray_y, cell(row, column).depth(nearest_out + k));
+            for (int c = warp.lane * lanes; c < columns; c += warp.size * lanes) {
+                // The last vector overlaps the one before it if the row is not a multiple of `lanes`.
+                const int column = c < columns - lanes ? c : columns - lanes, k = row * columns + column;
+                int d[CellRow::LANES];
+                if (fits)
+                    depths(row, column, d, nearest_out + k);
+                else
+                    d[0] = cell(row, column).depth(nearest_out + k);
+                JAXDET_VECTORIZE
+                for (int i = k; i < k + lanes; ++i)
+                    place(i, Team::input(rays + i), Team::input(rays + all + i), d[i - k]);
             }
-#else
-        (void)team;
-        int d[MOST_COLUMNS];
-        CellRow row_depths(near);
-        for (int row = 0; row < rows; ++row) {
-            depths(row, row_depths, d);
-            for (int column = 0; column < columns; ++column) {
-                const int k = row * columns + column;
-                place(k, rays[k], rays[all + k], d[column]);
-            }
-        }
+        team.sync();
+    }
+
+    // Computes the depths of CellRow::LANES cells, and their smallest measured depths.
+    void depths(int row, int column, int* d, int* nearest) const {
+        const unsigned short* const first = cell(row, column).first;
+        CellRow cells(near);
+#if !defined(__CUDA_ARCH__)
+        // Prefetches the next row of cells.
+        for (int v = side; row + 1 < rows && v < 2 * side; ++v)
+            for (int u = 0; u < CellRow::LANES * side; u += 32) __builtin_prefetch(first + v * width + u);
 #endif
+        switch (side) {
+            case 1: return cells.run(first, width, 1, d, nearest);
+            case 2: return cells.run(first, width, 2, d, nearest);
+            case 3: return cells.run(first, width, 3, d, nearest);
+            case 4: return cells.run(first, width, 4, d, nearest);
+#if !defined(__CUDA_ARCH__)
+            case 5: return cells.run(first, width, 5, d, nearest);
+            default: return cells.run(first, width, side, d, nearest);
+#endif
+        }
     }
 };
 

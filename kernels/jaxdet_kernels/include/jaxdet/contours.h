@@ -1,8 +1,8 @@
 // Contour of each label on the floor, its visible edge: the nearest cell in each column. Twin of
 // `contours` in jaxdet/reference/_outlines.py.
 #pragma once
-#include "warp.h"
 #include "cell_list.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 

@@ -4,7 +4,6 @@
 #include "canny.h"
 #include "corner_maxima.h"
 #include "corner_selection.h"
-#include "hysteresis.h"
 
 namespace jaxdet { namespace {
 
@@ -55,11 +54,11 @@ struct Corners {
         Word *keys, *other;
 
         Scratch(Arena& arena, int height, int width) {
-            take(arena, height * PixelBits::words(width), weak, edges, blocked, list);
-            take(arena, height * CornerMaxima::outer_words(width), mirrored);
-            take(arena, height, halves);
-            take(arena, CornerMaxima::strengths(height, width), strength);
-            take(arena, 2 * height * width, keys, other);
+            arena.take(height * PixelBits::words(width), weak, edges, blocked, list);
+            arena.take(height * CornerMaxima::outer_words(width), mirrored);
+            arena.take(height, halves);
+            arena.take(CornerMaxima::strengths(height, width), strength);
+            arena.take(2 * height * width, keys, other);
         }
     };
 

@@ -1,9 +1,9 @@
 // Extents of each label of a frame: number of cells, and ranges in the image and in space. Twin of
 // `extents` in jaxdet/reference/_view.py.
 #pragma once
-#include "warp.h"
 #include "cell_list.h"
 #include "ranks.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 

@@ -3,10 +3,54 @@
 #pragma once
 #include "arena.h"
 #include "floor_ahead.h"
+#include "floor_frame.h"
+#include "floor_planes.h"
 #include "floor_search.h"
-#include "margins.h"
+#include "grid.h"
 
 namespace jaxdet { namespace {
+
+// Floor frame of the detected floor, or the fallback if the floor was refused. Twin of `axes` in
+// jaxdet/floor/frame.py and of `slopes` in jaxdet/floor/units.py.
+struct FoundFrame {
+    // Indices of the results of `Floor`.
+    enum { PITCH, ROLL, HEIGHT, START, TURN, ON, ALL, REFUSED, RESULTS };
+    FloorAngles angles;
+
+    // Wraps an angle to [-180, 180) degrees.
+    static int within_a_turn(int angle) {
+        enum { HALF = 180 * FloorAngles::ANGLES, WHOLE = 2 * HALF };
+        const int rest = (angle + HALF) % WHOLE;
+        return (rest < 0 ? rest + WHOLE : rest) - HALF;
+    }
+
+    static int product(int a, int b) {
+        const int bits = 2 * FloorAngles::SINE_BITS - FloorFrame::BITS;
+        return (a * b + (1 << (bits - 1))) >> bits;
+    }
+
+    // Writes the frame of the floor `found` (RESULTS values) to `out`, or `given` if no floor was
+    // accepted; both have FloorFrame::VALUES values.
+    void run(const int* found, const int* given, int* out) const {
+        if (found[REFUSED]) {
+            for (int i = 0; i < FloorFrame::VALUES; ++i) out[i] = given[i];
+            return;
+        }
+        const int pitch = within_a_turn(found[PITCH]), roll = within_a_turn(found[ROLL]);
+        const int sin_p = angles.sine(pitch), cos_p = angles.cosine(pitch);
+        const int sin_r = angles.sine(roll), cos_r = angles.cosine(roll);
+        const int one = 1 << FloorAngles::SINE_BITS, turn = found[TURN];
+        const int shift = FloorAngles::SLOPE_BITS - FloorFrame::BITS;
+        const int slope = (angles.slope(turn) + (1 << (shift - 1))) >> shift;
+        const int values[FloorFrame::VALUES] = {
+            product(cos_r, one), product(-sin_r, one), 0,
+            product(-sin_r, sin_p), product(-cos_r, sin_p), product(cos_p, one),
+            product(sin_r, cos_p), product(cos_r, cos_p), product(sin_p, one),
+            found[HEIGHT], 1, turn ? found[START] : 0, turn ? slope : 0,
+        };
+        for (int i = 0; i < FloorFrame::VALUES; ++i) out[i] = values[i];
+    }
+};
 
 struct Floor {
     enum {
@@ -43,9 +87,11 @@ struct Floor {
     bool has_prior;
     // Scratch.
     unsigned long long *sums, *keys;
-    int *counts, *planes, *votes, *most_ramp, *cells, *parts, *few, *inner, *slack, *weights;
-    int *rows, *places, *lattice, *ends;
-    int most, most_few, room;
+    int *counts, *planes, *votes, *most_ramp, *slack, *weights, *rows, *places, *lattice, *ends;
+    // With room for all cells: all cells; the cells before and, from the end, beyond the start of a ramp
+    // or a step. With room for a quarter of them: the samples that `take` describes.
+    FloorCells cells, parts, few, inner;
+    int room;
 
     // Allocates the arrays. On CUDA `fast` is shared memory of SHARED words. First the arrays that are
     // always needed are placed there. Those that are used one after the other share the words that are
@@ -56,8 +102,7 @@ struct Floor {
           has_prior(prior_in[3] != 0) {
         const int stride = settings->stride;
         const int r = part(rows_in, stride), c = part(columns_in, stride);
-        most = r * c;
-        most_few = ((r + 1) / 2) * ((c + 1) / 2);
+        const int most = r * c, most_few = ((r + 1) / 2) * ((c + 1) / 2);
         int* quick = fast;
         room = Warp::size > 1 ? (int)SHARED : 0;
         const auto always = [&](int words) {
@@ -75,10 +120,13 @@ struct Floor {
         most_ramp = always(PLANES);
         rows = always(FloorProfile::ROW_ARRAYS * (settings->runs + 1));
         const auto now = [&](int words) { return words <= room ? quick : arena.words(words); };
-        cells = arena.words(3 * most);
-        parts = arena.words(3 * most);
-        few = arena.words(3 * most_few);
-        inner = arena.words(3 * most_few);
+        const auto positions = [&](int count) {
+            return FloorCells{arena.words(count), arena.words(count), arena.words(count), count};
+        };
+        cells = positions(most);
+        parts = positions(most);
+        few = positions(most_few);
+        inner = positions(most_few);
         slack = arena.words(most_few);
         places = now(4 * most_few);
         const int groups = MOST_THREADS / 32 * most_few;  // warps on CUDA
@@ -91,10 +139,6 @@ struct Floor {
     // Number of sampled cells along a side of `size` cells: every `stride`-th, from index stride / 2.
     int part(int size, int stride) const {
         return size > stride / 2 ? (size - stride / 2 + stride - 1) / stride : 0;
-    }
-
-    FloorCells of(const int* xyz, int room, int from, int count) const {
-        return {xyz + from, xyz + room + from, xyz + 2 * room + from, count};
     }
 
     // Collects the measured cells of the sample in `cells`, those of every second of its rows and
@@ -118,9 +162,7 @@ struct Floor {
             const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
             if (!is_used(depth)) continue;
             const int k = team.atomic_count(counts + ALL);
-            cells[k] = x[p];
-            cells[most + k] = y[p];
-            cells[2 * most + k] = depth;
+            cells.put(k, x[p], y[p], depth);
             if (((row | column) & 1) == 0) team.atomic_count(counts + ENDS + ring_of(depth));
         }
         team.sync();
@@ -138,14 +180,8 @@ struct Floor {
             const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
             if (!is_used(depth)) continue;
             const int k = team.atomic_count(counts + NEXT + ring_of(depth));
-            few[k] = x[p];
-            few[most_few + k] = y[p];
-            few[2 * most_few + k] = depth;
-            if (margins.has(column)) continue;
-            const int n = team.atomic_count(counts + INNER);
-            inner[n] = x[p];
-            inner[most_few + n] = y[p];
-            inner[2 * most_few + n] = depth;
+            few.put(k, x[p], y[p], depth);
+            if (!margins.has(column)) inner.put(team.atomic_count(counts + INNER), x[p], y[p], depth);
         }
         team.sync();
     }
@@ -173,13 +209,13 @@ struct Floor {
     }
 
     FloorProfile profile() const {
-        return {angles, settings, of(inner, most_few, 0, counts[INNER]), keys, rows, places};
+        return {angles, settings, inner.part(0, counts[INNER]), keys, rows, places};
     }
 
     FloorRamps ramps() const { return {profile()}; }
 
     void find(int number, int* out) const {
-        const FloorCells sample = of(few, most_few, 0, number);
+        const FloorCells sample = few.part(0, number);
         const FloorSearch search = {angles, settings, sample, counts + ENDS,
                                     slack,  weights,  keys,   lattice, ends, room};
         FloorPlane* all = (FloorPlane*)planes;
@@ -257,7 +293,7 @@ struct Floor {
     // Refines the plane on all cells or, if there is a ramp or a step, on the cells before its start.
     // Refines a ramp on the cells beyond its start.
     void refine(ThreadGroup& group, FloorPlane& plane, FloorAhead& ahead) const {
-        const FloorCells all = of(cells, most, 0, counts[ALL]);
+        const FloorCells all = cells.part(0, counts[ALL]);
         const FloorRamps ramp = ramps();
         FloorPlane steep = plane;
         int before = all.count, beyond = 0;
@@ -269,10 +305,7 @@ struct Floor {
                 const int x = all.x[i], y = all.y[i], z = all.z[i];
                 const bool is_beyond = forward.along(x, y, z) >= ahead.start;
                 const int n = team.atomic_count(counts + (is_beyond ? BEYOND : BEFORE));
-                const int k = is_beyond ? most - 1 - n : n;
-                parts[k] = x;
-                parts[most + k] = y;
-                parts[2 * most + k] = z;
+                parts.put(is_beyond ? parts.count - 1 - n : n, x, y, z);
             }
             team.sync();
             before = counts[BEFORE];
@@ -282,14 +315,10 @@ struct Floor {
         for (int n = 0; n <= (ahead.turn != 0); n++) {
             const FloorPlane start = n ? steep : plane;
             const FloorRefine refined = {angles, settings, n ? steep : prior, n || has_prior, weights};
-            const FloorPlane found = refined.run(
+            const FloorCells some = is_split ? parts : cells;
+            (n ? steep : plane) = refined.run(
                 group, start,
-                of(is_split ? parts : cells, most, n ? most - beyond : 0, n ? beyond : before), 0, 1,
-                5);
-            if (n)
-                steep = found;
-            else
-                plane = found;
+                n ? some.part(some.count - beyond, beyond) : some.part(0, before), 0, 1, 5);
         }
         if (!ahead.turn) return;
         const FloorAhead between = ramp.crossing(plane, steep);
@@ -299,7 +328,7 @@ struct Floor {
     // Judges a floor. Writes its number of inliers to found[0], the number of all cells to found[1],
     // and the reason of its refusal, or NONE, to found[2].
     void judge(ThreadGroup& group, FloorPlane plane, FloorAhead ahead, int* found) const {
-        const FloorCells all = of(cells, most, 0, counts[ALL]);
+        const FloorCells all = cells.part(0, counts[ALL]);
         const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
         const FloorSlack fine(settings->fine, settings->noise, plane.height);
         const FloorRamps ramp = ramps();

@@ -33,8 +33,11 @@ struct FloorPlane {
 
 // Positions of measured cells in the camera optical frame [depth units].
 struct FloorCells {
-    const int *x, *y, *z;
+    int *x, *y, *z;
     int count;
+
+    void put(int k, int px, int py, int pz) const { x[k] = px, y[k] = py, z[k] = pz; }
+    FloorCells part(int from, int size) const { return {x + from, y + from, z + from, size}; }
 };
 
 // Unit vector with DOWN_BITS fraction bits; its product with positions up to 2^18 fits in 32 bits.

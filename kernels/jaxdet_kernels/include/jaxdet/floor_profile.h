@@ -90,39 +90,10 @@ struct FloorProfile {
                 at[place] = run[i];
             }
         team.sync();
-#if defined(__CUDA_ARCH__)
-        // Sorts the heights in each distance bin.
-        for (int i = team.rank; i < begin()[n]; i += team.size) {
-            const int k = at[i], h = sorted[i], from = begin()[k], to = begin()[k + 1];
-            int place = from;
-            for (int j = from; j < to; j++) place += sorted[j] < h + (j < i);
-            high[place] = h;
-        }
-        team.sync();
-#endif
     }
 
-    // Height bins of the cells, sorted by distance bin; on CUDA they are also in ascending order in
-    // each distance bin.
-    const int* heights() const { return places + (Warp::size > 1 ? 1 : 2) * cells.count; }
-
-#if defined(__CUDA_ARCH__)
-    // Writes, for each of `number` height bins, how many cells of distance bin k are lower.
-    void lower(int k, const int* heights, int* counts, int number) const {
-        const int* in_order = this->heights();
-        const int from = begin()[k], to = begin()[k + 1];
-        for (int m = 0; m < number; m++) counts[m] = from == to ? 0 : from;
-        if (from == to) return;
-        // Often no cell is lower than the last height; then it needs no search.
-        const int searched = number > 1 && in_order[from] >= heights[number - 1] ? number - 1 : number;
-        for (int part = 1 << (31 - __clz(to - from)); part; part >>= 1)
-            for (int m = 0; m < searched; m++) {
-                const int next = counts[m] + part;
-                if (next <= to && in_order[next - 1] < heights[m]) counts[m] = next;
-            }
-        for (int m = 0; m < number; m++) counts[m] -= from;
-    }
-#endif
+    // Height bins of the cells, sorted by distance bin.
+    const int* heights() const { return places + 2 * cells.count; }
 
     // N ranges of height bins: inliers are from `least` to `over` - 1, and cells lower than `deep` are
     // clearly below the floor.
@@ -133,15 +104,6 @@ struct FloorProfile {
     // Counts the cells of a distance bin in N ranges: adds the inliers to `on`, and the cells clearly
     // below the floor to `low`.
     template <int N> void count(int k, const Ranges<N>& ranges, int* on, int* low) const {
-#if defined(__CUDA_ARCH__)
-        for (int w = 0; w < N; w++) {
-            const int ends[3] = {ranges.over[w], ranges.least[w], ranges.deep[w]};
-            int under[3];
-            lower(k, ends, under, 3);
-            on[w] += under[0] - under[1];
-            low[w] += under[2];
-        }
-#else
         for (int i = begin()[k]; i < begin()[k + 1]; i++) {
             const int height = heights()[i];
             for (int w = 0; w < N; w++) {
@@ -149,7 +111,6 @@ struct FloorProfile {
                 low[w] += height < ranges.deep[w];
             }
         }
-#endif
     }
 
     // Counts the cells of distance bin k for N floors at heights `up` above the plane, with tolerance

@@ -14,14 +14,9 @@ namespace jaxdet { namespace {
 // direction, the warps share the cells, and as many directions are counted at once as fit in shared
 // memory.
 struct FloorVotes {
-    // Number of directions that a thread sums up together.
-#if defined(__CUDA_ARCH__)
-    enum { LANES = 1 };
-    typedef int Lanes;
-#else
-    enum { LANES = 16 };
+    // Directions that a thread sums up together, and their number.
     typedef Vectors::Ints Lanes;
-#endif
+    enum { LANES = Vectors::INTS };
     // A lattice has fewer than 2^BIN_BITS heights.
     enum { APART = 12, BIN_BITS = 10, NOTHING = -0x7fffffff };
     FloorAngles angles;
@@ -455,16 +450,22 @@ struct FloorSearch {
         ends[count] = ends[count + 1] = cells.count;
         count += 1 + is_new;
         team.sync();
+        refine(team, planes, count, ends, guess, is_prior, 1);
+        return count;
+    }
+
+    // Refines planes on the first `ends[n]` cells each, on CUDA a plane per warp, with at most `sharp`
+    // rounds with the sharp tolerance. Ends in a sync.
+    void refine(const Team& team, FloorPlane* planes, int count, const int* ends, FloorPlane prior,
+                bool has_prior, int sharp) const {
         ThreadGroup group(team);
-        const FloorRefine refine = {angles, settings, guess, is_prior,
-                                    weights + group.index() * cells.count};
+        const FloorRefine refined = {angles, settings, prior, has_prior,
+                                     weights + group.index() * cells.count};
         for (int n = group.index(); n < count; n += group.count()) {
-            const FloorCells some = {cells.x, cells.y, cells.z, ends[n]};
-            const FloorPlane plane = refine.run(group, planes[n], some, 2, 2, 1);
+            const FloorPlane plane = refined.run(group, planes[n], cells.part(0, ends[n]), 2, 2, sharp);
             if (group.rank() == 0) planes[n] = plane;
         }
         team.sync();
-        return count;
     }
 
     // Finds the best floor without a prior, for any usual pose of the camera; `planes` and `scores`
@@ -491,14 +492,8 @@ struct FloorSearch {
             if (team.rank == 0) planes[n] = close.plane(close.best[0]);
             team.sync();
         }
-        ThreadGroup group(team);
-        const FloorRefine refine = {angles, settings, {0, 0, 0}, false,
-                                    weights + group.index() * cells.count};
-        for (int n = group.index(); n < count; n += group.count()) {
-            const FloorPlane plane = refine.run(group, planes[n], cells, 2, 2, 0);
-            if (group.rank() == 0) planes[n] = plane;
-        }
-        team.sync();
+        for (int n = 0; n < count; n++) ends[n] = cells.count;
+        refine(team, planes, count, ends, {0, 0, 0}, false, 0);
         score(team, planes, count, scores);
         const int least = settings->min_share_alone;
         int best = 0;

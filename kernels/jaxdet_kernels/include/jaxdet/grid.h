@@ -4,6 +4,17 @@
 
 namespace jaxdet { namespace {
 
+// The outer columns of a grid of cells at each side, where stereo depth bends. Twin of `margins` in
+// jaxdet/reference/_cells.py.
+struct Margins {
+    enum { MARGIN = 8 };  // one in MARGIN columns on each side
+    int columns, width;
+
+    explicit Margins(int columns) : columns(columns), width(columns / MARGIN) {}
+
+    bool has(int column) const { return (column < width) | (column >= columns - width); }
+};
+
 // Layout of R rows and C columns of cells in a plane of scratch memory with one more row above and
 // below and PAD more columns on both sides. The columns to the right of a row are those to the left of
 // the next row.

@@ -5,9 +5,9 @@
 // computed.
 #pragma once
 #include "arena.h"
-#include "warp.h"
 #include "cell_list.h"
-#include "margins.h"
+#include "grid.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 
@@ -34,9 +34,10 @@ struct ObstacleCells {
 
     // Allocates the arrays, with room for `slots` obstacles.
     void allocate(Arena& arena, int slots) {
-        take(arena, PARTS * slots + 1, starts, filled);
-        take(arena, cells, cell, right_of, forward_of);
-        listed.allocate(arena, cells / columns, columns);
+        arena.take(PARTS * slots + 1, starts, filled);
+        arena.take(cells, cell, right_of, forward_of);
+        arena.take(cells, listed.cell, listed.label, listed.right, listed.forward);
+        arena.take(1, listed.count);
     }
 
     int place(int number, int column) const {
@@ -46,16 +47,7 @@ struct ObstacleCells {
     // Clears the counts. The team must sync afterwards.
     void clear() const {
         for (int i = team.rank; i < PARTS * count; i += team.size) filled[i] = 0;
-    }
-
-    // Lists the cells of obstacles. Ends in a sync.
-    void list() const {
-        Warp(team).fill(listed.has, [&](int i, int k) {
-            const int own = label[listed.has.cell(i, k)];
-            return (own >= 0) & (own < count);
-        });
-        team.sync();
-        listed.list(team, label, right, forward);
+        if (team.rank == 0) *listed.count = 0;
     }
 
     // Computes `starts` in one warp; the cells of each part must have been counted. The team must sync

@@ -2,9 +2,9 @@
 #pragma once
 #include "arena.h"
 #include "bits.h"
+#include "cell_list.h"
 #include "contraction.h"
 #include "evidence.h"
-#include "cell_list.h"
 #include "small_surfaces.h"
 #include "straight_parts.h"
 
@@ -14,7 +14,7 @@ struct Obstacles {
     typedef unsigned long long Key;
     enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3 };
     // Indices of `counts`.
-    enum { SURFACES, WHOLE, GROUPS, NEAR, CLOSE, PARTS, COUNTS };
+    enum { SURFACES, WHOLE, GROUPS, NEAR, CLOSE, PARTS, LISTED, COUNTS };
     // Indices of `settings`, in the order of `obstacle_tables` in jaxdet/stages/_tables.py; lengths are
     // in depth units. NO_STEP is the depth step of surfaces that do not face each other, and OFFSET is
     // the constant term of the evidence.
@@ -42,8 +42,7 @@ struct Obstacles {
     Key *pairs, *of_surfaces, *best, *turns;
     int *between, *list, *close, *packed, *stack, *line_x, *line_y, *line_column, *start;
     unsigned char* near_pairs;
-    // Bitmap of free cells, and bitmaps of listed and of free cells with rows and columns exchanged.
-    BitRows open, listed_turned, open_turned;
+    int* bits;
     CellList listed;  // labels are first surfaces, then merged surfaces, then parts of obstacles
     Extents first, whole, last;
     int *group, *number, *small, *spare, *over, *counts, *parts, *part_of;
@@ -55,26 +54,24 @@ struct Obstacles {
         const size_t all = (size_t)slots * slots;
         const size_t labels = cells < MAX_LABELS ? cells : (size_t)MAX_LABELS;
         const size_t sums = Facing::SUMS * all / 2, keys = (size_t)slots * columns;
-        pairs = arena.longs(sums > keys ? sums : keys);
-        of_surfaces = arena.longs(keys);
-        best = arena.longs(slots);
-        turns = arena.longs(2 * Contraction::TURNS);
-        between = arena.words(all);
-        take(arena, all / 2, list, close);
-        near_pairs = (unsigned char*)arena.words((all / 2 + 3) / 4);
-        take(arena, cells + slots, packed, stack);
-        take(arena, labels + 1, start);
+        arena.take(2 * (sums > keys ? sums : keys), pairs);
+        arena.take(2 * keys, of_surfaces);
+        arena.take(2 * slots, best);
+        arena.take(4 * Contraction::TURNS, turns);
+        arena.take(all, between);
+        arena.take(all / 2, list, close);
+        arena.take((all / 2 + 3) / 4, near_pairs);
+        arena.take(cells + slots, packed, stack);
+        arena.take(labels + 1, start);
         Extents* const extents[] = {&first, &whole, &last};
         for (Extents* of : extents) of->allocate(arena.words(Extents::FIELDS * labels), (int)labels);
-        take(arena, labels, group, number, small, over);
-        take(arena, 2 * labels + 1, spare, parts);
-        take(arena, COUNTS, counts);
-        take(arena, cells, line_x, line_y, line_column);
-        listed.allocate(arena, rows, columns);
-        open = BitRows(rows, columns, nullptr);
-        take(arena, open.count(), open.bits);
-        listed_turned = open_turned = BitRows(columns, rows, nullptr);
-        take(arena, listed_turned.count(), listed_turned.bits, open_turned.bits);
+        arena.take(labels, group, number, small, over);
+        arena.take(2 * labels + 1, spare, parts);
+        arena.take(COUNTS, counts);
+        listed.count = counts + LISTED;
+        arena.take(cells, line_x, line_y, line_column);
+        arena.take(cells, listed.cell, listed.label, listed.right, listed.forward);
+        arena.take(2 * (rows_bits().count() + columns_bits().count()), bits);
         part_of = (int*)of_surfaces;
     }
 
@@ -85,7 +82,8 @@ struct Obstacles {
             *total = 0;
         }
         team.sync();
-        list_cells(team);
+        listed.take(team, surface, free, right, forward, columns, bits_of(0), bits_of(1), label,
+                    counts + SURFACES);
         join_small(team);
         pack(team);
         const Contours contours = contours_of(counts[WHOLE], whole, of_surfaces);
@@ -98,22 +96,6 @@ struct Obstacles {
         last.join(team, counts[GROUPS], whole, counts[WHOLE], number);
         straighten(team, contours);
         order(team);
-    }
-
-    // Lists the cells with a surface. The obstacle of each cell is its surface at first. Ends in a sync.
-    void list_cells(const Team& team) const {
-        const Warp warp(team);
-        int largest = -1;
-        warp.fill(listed.has, [&](int i, int k) {
-            const int at = open.cell(i, k), own = Team::input(surface + at);
-            label[at] = own;
-            largest = own > largest ? own : largest;
-            return own >= 0;
-        });
-        warp.fill(open, [&](int i, int k) { return free[open.cell(i, k)] != 0; });
-        if (largest >= 0) team.atomic_max(counts + SURFACES, largest + 1);
-        team.sync();
-        listed.list(team, surface, right, forward);
     }
 
     Contours contours_of(int count, const Extents& extents, Key* nearest) const {
@@ -197,6 +179,17 @@ struct Obstacles {
         whole.join(team, counts[WHOLE], first, count, number);
     }
 
+    // Bitmap of the cells with a surface (0) or of the free cells (1), by rows or by columns.
+    BitRows rows_bits() const { return BitRows(rows, columns, nullptr); }
+    BitRows columns_bits() const { return BitRows(columns, rows, nullptr); }
+    BitRows bits_of(int k) const {
+        return BitRows(rows, columns, bits + k * rows_bits().count());
+    }
+    BitRows transposed(int k) const {
+        const int* after = bits + 2 * rows_bits().count();
+        return BitRows(columns, rows, (int*)after + k * columns_bits().count());
+    }
+
     // Replaces the labels of listed cells by their merged surfaces, and packs these with the depths.
     void pack(const Team& team) const {
         for (int i = team.rank; i < *listed.count; i += team.size) {
@@ -204,10 +197,10 @@ struct Obstacles {
             listed.label[i] = own;
             packed[k] = Packed(own, z[k]).word;
         }
-        listed_turned.clear_padding(team);
-        open_turned.clear_padding(team);
-        listed.has.transpose(team, listed_turned);
-        open.transpose(team, open_turned);
+        for (int k = 0; k < 2; ++k) {
+            transposed(k).clear_padding(team);
+            bits_of(k).transpose(team, transposed(k));
+        }
         team.sync();
     }
 
@@ -227,8 +220,8 @@ struct Obstacles {
                                    whole, contours, trees, near, pairs, list, counts + NEAR, close,
                                    counts + CLOSE, between, fast};
         evidence.find_near(team);
-        const Facing in_rows = {listed.has, open, packed, x, columns, 1, true, gap, near, pairs};
-        const Facing in_columns = {listed_turned, open_turned, packed, y, 1, columns, false, gap,
+        const Facing in_rows = {bits_of(0), bits_of(1), packed, x, columns, 1, true, gap, near, pairs};
+        const Facing in_columns = {transposed(0), transposed(1), packed, y, 1, columns, false, gap,
                                    near, pairs};
         Facing::run(team, in_rows, in_columns);
         team.sync();

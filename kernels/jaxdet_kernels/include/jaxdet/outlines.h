@@ -28,8 +28,10 @@ struct Outlines {
     const Measures& measures;
     int slots, longest;
     const int* directions;  // (DIRECTIONS, 2): candidate directions, right and forward
-    // Results, one row per slot; a contour has room for one point per column.
-    int *contour_out, *points_out, *direction_out, *span_out;
+    // Results, one row per slot; a contour has room for one point per column. `results` has all of them
+    // and those of `measures`, except for the contours.
+    int *contour_out, *points_out, *direction_out, *span_out, *results;
+    int result_words;
     // Key of the nearest cell of each obstacle in each column: its squared distance, then its index.
     unsigned long long* nearest;
     // Area and cost of the rectangle of each obstacle in each direction; they decide the direction.
@@ -42,11 +44,11 @@ struct Outlines {
 
     // Allocates the arrays, then those of `grid`, which is `cells`.
     void allocate(Arena& arena, ObstacleCells& grid) {
-        nearest = arena.longs(slots * cells.columns);
-        area = (long long*)arena.longs(slots * DIRECTIONS);
-        cost = arena.words(slots * DIRECTIONS);
-        margins = arena.words(2 * slots);
-        projected = arena.words(cells.cells);
+        arena.take(2 * slots * cells.columns, nearest);
+        arena.take(2 * slots * DIRECTIONS, area);
+        arena.take(slots * DIRECTIONS, cost);
+        arena.take(2 * slots, margins);
+        arena.take(cells.cells, projected);
         grid.allocate(arena, slots);
     }
 
@@ -54,10 +56,9 @@ struct Outlines {
     void run() const {
         const Team& team = cells.team;
         clear();
-        measures.clear(slots);
         cells.clear();
         team.sync();
-        cells.list();
+        cells.listed.take(team, cells.cells, cells.label, cells.count, cells.right, cells.forward);
         count();
         team.sync();
         if (warp.index == 0) cells.order(warp);
@@ -84,13 +85,10 @@ struct Outlines {
     void clear() const {
         const Team& team = cells.team;
         const int used = cells.count * cells.columns, points = slots * cells.columns;
-        const unsigned long long none = ~0ull;
         unsigned long long* const pairs = (unsigned long long*)contour_out;
-        for (int i = team.rank; i < used; i += team.size) nearest[i] = none;
+        for (int i = team.rank; i < used; i += team.size) nearest[i] = ~0ull;
         for (int i = team.rank; i < points; i += team.size) pairs[i] = 0;
-        for (int i = team.rank; i < slots; i += team.size) points_out[i] = 0;
-        for (int i = team.rank; i < 2 * slots; i += team.size) direction_out[i] = 0;
-        for (int i = team.rank; i < 4 * slots; i += team.size) span_out[i] = 0;
+        for (int i = team.rank; i < result_words; i += team.size) results[i] = 0;
     }
 
     // Counts the cells of the parts of each obstacle, and finds its nearest cell in each column.

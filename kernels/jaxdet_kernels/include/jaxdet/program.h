@@ -3,7 +3,6 @@
 #include "arena.h"
 #include "cells.h"
 #include "floor.h"
-#include "found_frame.h"
 #include "free_floor.h"
 #include "notches.h"
 #include "obstacles.h"
@@ -69,33 +68,33 @@ struct Frame {
         header.places(tables, corner_x, corner_y, rays, tile_corners, floor_settings, sines, feature, threshold,
                       value, obstacle_settings);
         Arena fixed{(int*)tables + HEADER};
-        take(fixed, DEPTHS, near, steps, limits, rises, bows, drops);
-        take(fixed, 2 * DEPTHS, bands);
-        take(fixed, Surfaces::SETTINGS, surface_settings);
-        take(fixed, Outlines::SETTINGS, outline_settings);
-        take(fixed, FreeFloor::SETTINGS, free_settings);
-        take(fixed, 2, last);
-        take(fixed, 2 * Outlines::DIRECTIONS, directions);
-        take(fixed, (1 << Rays::RATIO_BITS) + 1, bearings);
-        take(fixed, 4 * Rays::RAYS, ray_directions);
-        take(fixed, RayBlocks::SETTINGS, block_settings);
-        take(fixed, Projection::PARAMETERS + 2, parameters);
+        fixed.take(DEPTHS, near, steps, limits, rises, bows, drops);
+        fixed.take(2 * DEPTHS, bands);
+        fixed.take(Surfaces::SETTINGS, surface_settings);
+        fixed.take(Outlines::SETTINGS, outline_settings);
+        fixed.take(FreeFloor::SETTINGS, free_settings);
+        fixed.take(2, last);
+        fixed.take(2 * Outlines::DIRECTIONS, directions);
+        fixed.take((1 << Rays::RATIO_BITS) + 1, bearings);
+        fixed.take(4 * Rays::RAYS, ray_directions);
+        fixed.take(RayBlocks::SETTINGS, block_settings);
+        fixed.take(Projection::PARAMETERS + 2, parameters);
         const int cells = rows * columns;
         Arena handed{work}, found{record};
-        take(handed, FloorFrame::VALUES, frame);
-        take(handed, cells, x, y, z, nearest, right, forward, above, surface, label);
-        take(handed, (cells + 3) / 4, keep, free, low);
+        handed.take(FloorFrame::VALUES, frame);
+        handed.take(cells, x, y, z, nearest, right, forward, above, surface, label);
+        handed.take((cells + 3) / 4, keep, free, low);
         work_words = handed.used;
-        take(found, FoundFrame::RESULTS, floor);
-        take(found, 1, num_surfaces, has_depth, num_obstacles);
-        take(found, SLOTS, num_points, has_vertex, contour_points);
-        take(found, 2 * SLOTS, uv_min, uv_max, a, b, c, direction, bottom_top);
-        take(found, 3 * SLOTS, xyz_min, xyz_max);
-        take(found, 6 * SLOTS, xyz_sum);
-        take(found, 4 * SLOTS, span);
-        take(found, 2 * Rays::RAYS, free_ranges);
-        take(found, Rays::RAYS, free_end);
-        take(found, 1, first_notch);
+        found.take(FoundFrame::RESULTS, floor);
+        found.take(1, num_surfaces, has_depth, num_obstacles);
+        found.take(SLOTS, num_points, has_vertex, contour_points);
+        found.take(2 * SLOTS, uv_min, uv_max, a, b, c, direction, bottom_top);
+        found.take(3 * SLOTS, xyz_min, xyz_max);
+        found.take(6 * SLOTS, xyz_sum);
+        found.take(4 * SLOTS, span);
+        found.take(2 * Rays::RAYS, free_ranges);
+        found.take(Rays::RAYS, free_end);
+        found.take(1, first_notch);
     }
 
     JAXDET_STEP void find_cells(const Team& team, int*) const {
@@ -141,10 +140,10 @@ struct Frame {
         int *line, *polar, *end, *falls, *start, *stop, *block, *corners;
 
         FreeParts(int rows, int columns, Arena& arena) {
-            take(arena, 4 * columns, line, polar);
-            take(arena, columns, end, falls);
-            take(arena, Rays::RAYS, start, stop, block);
-            take(arena, RayBlocks::num_corners(rows, columns), corners);
+            arena.take(4 * columns, line, polar);
+            arena.take(columns, end, falls);
+            arena.take(Rays::RAYS, start, stop, block);
+            arena.take(RayBlocks::num_corners(rows, columns), corners);
         }
     };
     JAXDET_STEP void find_free_floor(const Team& team, int* scratch) const {
@@ -185,7 +184,8 @@ struct Frame {
                                 num_points, uv_min, uv_max, xyz_min, xyz_max, xyz_sum, a, b, c,
                                 bottom_top, has_vertex};
         Outlines outlines{cells, warp, measures, SLOTS, outline_settings[Outlines::LONG],
-                          directions, contour, contour_points, direction, span};
+                          directions, contour, contour_points, direction, span, num_points,
+                          (int)(free_ranges - num_points)};
         outlines.allocate(arena, cells);
         use(outlines);
     }

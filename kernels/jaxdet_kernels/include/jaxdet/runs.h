@@ -2,10 +2,38 @@
 // a prefix sum and merged by union-find.
 #pragma once
 #include "bits.h"
-#include "union_find.h"
+#include "team.h"
 #include "warp.h"
 
 namespace jaxdet { namespace {
+
+// Lock-free union-find with path halving. The root is the smallest member of a set; sets are merged by
+// compare-and-swap, so the parent of a root only ever decreases.
+struct UnionFind {
+    int* parent;
+
+    int find(int one) const {
+        volatile int* up = parent;
+        int above = up[one];
+        while (above != one) {
+            const int next = up[above];
+            up[one] = next;
+            one = above;
+            above = next;
+        }
+        return one;
+    }
+
+    void link(const Team& team, int one, int two) const {
+        while (true) {
+            one = find(one);
+            two = find(two);
+            if (one == two) return;
+            const int high = one > two ? one : two, low = one > two ? two : one;
+            if (team.atomic_cas(parent + high, high, low) == high) return;
+        }
+    }
+};
 
 // Runs of all rows, numbered in raster order, and the components that they belong to.
 struct Runs {
@@ -13,13 +41,26 @@ struct Runs {
     int* before;         // number of runs that begin before each word, and the total
     UnionFind sets;      // components of runs
     int* sizes;          // number of cells of a component, indexed by its root
+    // Fast memory for the parents of `most_near` runs, used if there are at most that many.
+    int* near;
+    int most_near;
+
+    // Computes `before`; returns the number of runs. A collective call, after a sync; ends in a sync.
+    int count(const Team& team) const {
+        const int words = starts.count();
+        for (int i = team.rank; i < words; i += team.size) before[i] = BitRows::popcount(starts[i]);
+        team.sync();
+        const Warp warp(team);
+        if (warp.index == 0) warp.exclusive_sum(before, words);
+        team.sync();
+        return before[words];
+    }
 
     // Numbers the runs, each of which becomes its own component; returns their number. A collective
-    // call, after a sync; ends in a sync. `near` has room for the parents of `most` runs and is used if
-    // there are at most that many.
-    int number(const Team& team, int* near, int most) {
-        const int count = count_before(team, starts, before);
-        if (count <= most) sets.parent = near;
+    // call, after a sync; ends in a sync.
+    int number(const Team& team) {
+        const int count = this->count(team);
+        if (count <= most_near) sets.parent = near;
         for (int run = team.rank; run < count; run += team.size) {
             sets.parent[run] = run;
             sizes[run] = 0;

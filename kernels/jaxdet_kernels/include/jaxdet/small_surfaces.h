@@ -1,9 +1,9 @@
 // Merges surfaces that are too small to be an obstacle into the surface they touch most. Twin of
 // `whole_surfaces` in jaxdet/reference/_obstacles.py.
 #pragma once
-#include "warp.h"
 #include "cell_list.h"
-#include "union_find.h"
+#include "runs.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 

@@ -2,8 +2,8 @@
 // jaxdet/reference/_outlines.py. The lanes of a warp work on one contour together: all of them execute
 // every step, and share the search for the largest triangle.
 #pragma once
-#include "warp.h"
 #include "square_root.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 

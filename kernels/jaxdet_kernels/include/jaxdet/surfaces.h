@@ -6,10 +6,9 @@
 #include "creases.h"
 #include "floor_frame.h"
 #include "grid.h"
-#include "margins.h"
-#include "warp.h"
 #include "runs.h"
 #include "team.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 
@@ -62,12 +61,9 @@ struct Surfaces {
 
         Parts(int rows, int columns, Arena& arena)
             : grid(rows, columns), kept(rows, columns, nullptr), on(kept), starts(kept), up(kept) {
-            const int cells = rows * columns;
-            int** const planes[] = {&depth, &other, &step};
-            for (int** plane : planes) *plane = arena.words(grid.size);
-            int** const arrays[] = {&parent, &label, &sizes, &first, &top, &level};
-            for (int** array : arrays) *array = arena.words(cells);
-            before = arena.words(5 * kept.count() + 1);
+            arena.take(grid.size, depth, other, step);
+            arena.take(rows * columns, parent, label, sizes, first, top, level);
+            arena.take(5 * kept.count() + 1, before);
             near = parent;
             most_near = 0;
             const int count = kept.count();
@@ -85,7 +81,32 @@ struct Surfaces {
             starts.bits = on.bits + count;
             up.bits = starts.bits + count;
         }
+
+        // Runs of the cells of a bitmap, given the bitmap of their first cells.
+        Runs runs(const BitRows& cells, const BitRows& firsts) const {
+            return {cells, firsts, before, {parent}, sizes, near, most_near};
+        }
     };
+
+    // Transforms the cell at (a, b, d) to the floor frame and classifies it; returns whether it is
+    // kept. Cells no higher than `rise` are floor.
+    __attribute__((always_inline)) bool place(
+        const FloorFrame& frame, bool has_ramp, int k, int a, int b, int d, int rise
+    ) const {
+        const int ahead = frame.forward(a, b, d);
+        int high = frame.level(a, b, d);
+        if (has_ramp) high -= frame.rise(ahead);
+        const bool above = high > rise;
+        const bool below = (high <= settings[HIGHEST]) | !frame.valid;
+        const bool on = (d >= settings[NEAREST]) & (d <= settings[FARTHEST]) & above & below;
+        right[k] = frame.right(a, b, d);
+        forward[k] = ahead;
+        height[k] = high;
+        keep[k] = on;
+        free[k] = (d >= settings[NEAREST]) & !on;
+        low[k] = (d > 0) & !above;
+        return on;
+    }
 
     // Increase of the floor's tolerance per depth unit of z that noise causes, with SLOPE_BITS fraction
     // bits.
@@ -97,73 +118,139 @@ struct Surfaces {
 
     static int higher(int a, int b) { return a > b ? a : b; }
 
-    // Transforms all cells to the floor frame and classifies them; returns whether the depth of any of
-    // this thread's cells is in range.
-    bool start(const Team& team, const Parts& in) const {
-        in.grid.frame(team, in.depth, Creases::NONE);
-        if (Warp::size == 1) in.grid.frame(team, in.other, Creases::NONE);
-        const FloorFrame frame(floor);
-        return frame.has_ramp() ? place<true>(team, in, frame) : place<false>(team, in, frame);
-    }
+    bool in_range(int d) const { return (d >= settings[NEAREST]) & (d <= settings[IN_RANGE]); }
 
-    template <bool HAS_RAMP>
-    bool place(const Team& team, const Parts& in, const FloorFrame& frame) const {
-        const int slope = noise(frame, settings[NOISE]), nearest = settings[NEAREST];
-        const int farthest = settings[FARTHEST], in_range = settings[IN_RANGE];
-        const int highest = frame.valid ? settings[HIGHEST] : (int)UNSEEN;
+    // Transforms and classifies all cells; returns whether the depth of any of this thread's cells is
+    // in range.
+    bool start(const Team& team, const Parts& in) const {
         int some = 0;
-        Warp(team).fill(in.kept, [&](int i, int bit) {
-            const int k = in.kept.cell(i, bit);
-            const int a = Team::input(x + k), b = Team::input(y + k), d = Team::input(z + k);
-            const int ahead = frame.forward(a, b, d);
-            const int high = frame.level(a, b, d) - (HAS_RAMP ? frame.rise(ahead) : 0);
-            const int rise = higher(Team::input(rises + d), d * slope >> SLOPE_BITS);
-            const bool above = high > rise, beyond = d >= nearest;
-            const bool on = beyond & (d <= farthest) & above & (high <= highest);
-            right[k] = frame.right(a, b, d);
-            forward[k] = ahead;
-            height[k] = high;
-            keep[k] = on;
-            free[k] = beyond & !on;
-            low[k] = (d > 0) & !above;
-            some |= beyond & (d <= in_range);
-            // On the CPU, `Creases` reads its depths from here.
-            if (Warp::size == 1)
-                in.depth[in.grid.row(in.kept.row(i)) + in.kept.column(i) + bit] =
-                    d > 0 ? d << Creases::BITS : (int)Creases::NONE;
-            return on;
-        });
+        const FloorFrame frame(floor);
+        const int slope = noise(frame, settings[NOISE]);
+        in.grid.frame(team, in.depth, Creases::NONE);
+#if defined(__CUDA_ARCH__)
+        const Warp warp(team);
+        const int words = in.kept.words, all = rows * words;
+        in.kept.clear_padding(team);
+        for (int first = warp.index * AHEAD; first < all; first += warp.count * AHEAD) {
+            int at[AHEAD], a[AHEAD], b[AHEAD], d[AHEAD], rise[AHEAD];
+            for (int k = 0; k < AHEAD; ++k) {
+                const int i = first + k, c = i % words * BitRows::WIDTH + warp.lane;
+                at[k] = i < all && c < columns ? i / words * columns + c : -1;
+                const int there = at[k] < 0 ? 0 : at[k];
+                a[k] = x[there], b[k] = y[there], d[k] = z[there];
+            }
+            for (int k = 0; k < AHEAD; ++k) rise[k] = higher(rises[d[k]], d[k] * slope >> SLOPE_BITS);
+            for (int k = 0; k < AHEAD; ++k) {
+                const bool on = at[k] >= 0 && place(frame, frame.has_ramp(), at[k], a[k], b[k], d[k],
+                                                    rise[k]);
+                some |= (at[k] >= 0) & in_range(d[k]);
+                const unsigned those = warp.ballot(on);
+                const int i = first + k;
+                if (warp.lane == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
+            }
+        }
         team.sync();
+#else
+        in.grid.frame(team, in.other, Creases::NONE);
+        for (int r = 0; r < rows; ++r) {
+            // has_ramp is a compile-time constant in each call, so the loop has no branch.
+            some |= frame.has_ramp() ? place_row(in, frame, true, slope, r)
+                                     : place_row(in, frame, false, slope, r);
+            for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
+                const int c = in.kept.column(i);
+                in.kept[i] = BitRows::packed(keep + r * columns + c, 0, columns - c);
+            }
+        }
+#endif
         return some;
     }
+
+#if !defined(__CUDA_ARCH__)
+    // Transforms and classifies a row of cells; returns whether the depth of any is in range.
+    __attribute__((always_inline)) int place_row(
+        const Parts& in, const FloorFrame& frame, bool has_ramp, int slope, int r
+    ) const {
+        const int first = r * columns;
+        int* const depth = in.depth + in.grid.row(r);
+        int some = 0;
+        JAXDET_VECTORIZE
+        for (int c = 0; c < columns; ++c) {
+            const int k = first + c, d = z[k];
+            place(frame, has_ramp, k, x[k], y[k], d, higher(rises[d], d * slope >> SLOPE_BITS));
+            depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
+            some |= in_range(d);
+        }
+        return some;
+    }
+#endif
 
     static bool is_near(int z_one, int z_other, int step_one, int step_other) {
         return Creases::apart(z_one, z_other) <= (step_one < step_other ? step_one : step_other);
     }
 
-    // Finds the first cells of runs of linked cells, and the cells linked to the one above. Ends in a
-    // sync.
-    void find_links(const Team& team, const Parts& in) const {
-        const BitRows &on = in.on, &starts = in.starts, &up = in.up;
+    // Finds the first cells of runs of linked cells, and the cells linked to the one above.
+#if defined(__CUDA_ARCH__)
+    void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up,
+                    const Parts&) const {
+        // Each lane tests whether a word has cells; then all lanes process FEW such words at a time.
         const Warp warp(team);
-        // Whether the depth of a cell is near that of an earlier cell: `apart` cells before it in the
-        // image, and `away` cells in grids with margins. The first cells of the image, whose result is not
-        // used, are compared with themselves or, on the CPU, with words of the array before `z`.
-        const auto is_linked = [&](int i, int k, int apart, int away) {
-            const int first = on.cell(i, 0), place = in.grid.row(on.row(i)) + on.column(i) + k;
-            const int back = Warp::size > 1 && first + k < apart ? 0 : apart;
-            const int one = z[first + k], two = z[first + k - back];
-            return Warp::size > 1 ? is_near(one, two, steps[one], steps[two])
-                                  : is_near(one, two, in.step[place], in.step[place - away]);
-        };
-        warp.fill(starts, [&](int i) { return on[i] & on.before(i); },
-                  [&](int i, int k) { return is_linked(i, k, 1, 1); });
-        warp.fill(up, [&](int i) { return on[i] & on.above(i); },
-                  [&](int i, int k) { return is_linked(i, k, columns, in.grid.stride); });
-        team.sync();
-        for (int i = team.rank; i < on.count(); i += team.size) starts[i] = on[i] & ~starts[i];
+        for (int first = warp.index * Warp::size; first < on.count();
+             first += warp.count * Warp::size) {
+            const int own = first + warp.lane;
+            unsigned goes_on = 0, linked = 0;
+            for (unsigned rest = warp.ballot(own < on.count() && on[own]); rest;) {
+                int word[FEW], here[FEW], before[FEW], above[FEW];
+                for (int k = 0; k < FEW; ++k, rest &= rest - 1) {
+                    word[k] = rest ? first + BitRows::lowest(rest) : -1;
+                    const int c = on.column(word[k]) + warp.lane;
+                    const bool there = word[k] >= 0 && c < columns;
+                    const int at = there ? on.row(word[k]) * columns + c : 0;
+                    here[k] = z[at];
+                    before[k] = z[at > 0 ? at - 1 : 0];
+                    above[k] = z[at < columns ? 0 : at - columns];
+                }
+                int step[FEW], step_before[FEW], step_above[FEW];
+                for (int k = 0; k < FEW; ++k) {
+                    step[k] = steps[here[k]];
+                    step_before[k] = steps[before[k]];
+                    step_above[k] = steps[above[k]];
+                }
+                for (int k = 0; k < FEW; ++k) {
+                    const bool in_row = is_near(here[k], before[k], step[k], step_before[k]);
+                    const bool below = is_near(here[k], above[k], step[k], step_above[k]);
+                    const unsigned those_in_row = warp.ballot(in_row), those = warp.ballot(below);
+                    if (word[k] == own) goes_on = those_in_row, linked = those;
+                }
+            }
+            if (own >= on.count()) continue;
+            starts[own] = on[own] & ~(on.before(own) & goes_on);
+            up[own] = on[own] & on.above(own) & linked;
+        }
         team.sync();
     }
+#else
+    void find_links(const Team&, const BitRows& on, const BitRows& starts, const BitRows& up,
+                    const Parts& in) const {
+        unsigned char row[Grid::MOST_COLUMNS];
+        for (int r = 0; r < rows; ++r) {
+            const int at = in.grid.row(r), over = r ? r - 1 : 0, at_over = in.grid.row(over);
+            const int *own = z + r * columns, *above = z + over * columns;
+            row[0] = is_near(own[0], above[0], in.step[at], in.step[at_over]) << 1;
+            const int *step = in.step + at, *step_above = in.step + at_over;
+            JAXDET_VECTORIZE
+            for (int c = 1; c < columns; ++c)
+                row[c] = is_near(own[c], own[c - 1], step[c], step[c - 1]) |
+                         is_near(own[c], above[c], step[c], step_above[c]) << 1;
+            for (int i = on.at(r, 0); i < on.at(r + 1, 0); ++i) {
+                const int c = on.column(i);
+                const unsigned goes_on = BitRows::packed(row + c, 0, columns - c);
+                const unsigned linked = BitRows::packed(row + c, 1, columns - c);
+                starts[i] = on[i] & ~(on.before(i) & goes_on);
+                up[i] = on[i] & on.above(i) & linked;
+            }
+        }
+    }
+#endif
 
     // Links cells of a row or a column across holes (unmeasured cells), if depth is continuous.
     void link_across_holes(const Team& team, const Runs& runs) const {
@@ -209,7 +296,7 @@ struct Surfaces {
     int label(const Team& team, const Parts& in, Runs& runs, const BitRows& up, const BitRows& has) const {
         const BitRows &on = runs.on, &starts = runs.starts;
         const int count = on.count(), words = on.at(1, 0), least = settings[MIN_CELLS];
-        const int all = runs.number(team, in.near, in.most_near);
+        const int all = runs.number(team);
         for (int i = words + team.rank; i < count; i += team.size) {
             const int j = i - words;
             // The first cell where two runs touch.
@@ -490,7 +577,7 @@ struct Surfaces {
                 team.atomic_or((int*)firsts.bits + word_of(in.first[run]),
                                (int)bit_of(in.first[run]));
         team.sync();
-        const int count = count_before(team, firsts, runs.before);
+        const int count = runs.count(team);
         if (team.rank == 0) *count_out = count;
         int* const numbers = in.level;
         for (int run = team.rank; run < all; run += team.size) {
@@ -525,14 +612,15 @@ struct Surfaces {
         if (team.rank == 0) *has_depth_out = some;
         Creases creases = {
             in.grid, settings[CREASE_CELLS], settings[MIN_CELLS], settings[CREASE_MARGIN],
-            steps, limits, z, in.depth, in.other, in.step, kept, starts, up,
-            {starts, up, in.before, {in.parent}, in.sizes}, in.near, in.most_near,
+            steps, limits, z, in.depth, in.other, in.step, kept, starts, up, in.runs(starts, up),
         };
         const BitRows crease = creases.run(team);
         for (int i = team.rank; i < on.count(); i += team.size) on[i] = kept[i] & ~crease[i];
         team.sync();
-        find_links(team, in);
-        Runs runs = {on, starts, in.before, {in.parent}, in.sizes};
+        starts.clear_padding(team);
+        up.clear_padding(team);
+        find_links(team, on, starts, up, in);
+        Runs runs = in.runs(on, starts);
         const int all = label(team, in, runs, up, up);
         const BitRows has = grow(team, kept, up, on);
         measure(team, in, all, has);

@@ -23,6 +23,18 @@
 #define JAXDET_SHARED alignas(16)
 #endif
 
+// Before a loop whose number of iterations is constant: it is unrolled completely.
+#if defined(__CUDA_ARCH__) && defined(__CUDACC__)
+#define JAXDET_UNROLL_ON_CUDA _Pragma("unroll")
+#define JAXDET_UNROLL JAXDET_UNROLL_ON_CUDA
+#elif defined(__clang__)
+#define JAXDET_UNROLL_ON_CUDA
+#define JAXDET_UNROLL _Pragma("clang loop unroll(full)")
+#else
+#define JAXDET_UNROLL_ON_CUDA
+#define JAXDET_UNROLL
+#endif
+
 // Before a loop that may be vectorized on the CPU although its pointers might overlap.
 #if defined(__clang__)
 #define JAXDET_VECTORIZE _Pragma("clang loop vectorize(assume_safety)")
@@ -51,10 +63,9 @@ struct Team {
     static int input(const int* place) { return __ldg(place); }
     static unsigned char input(const unsigned char* place) { return __ldg(place); }
 
-    int atomic_add(int* place, int value) const { return atomicAdd(place, value); }
-    int atomic_min(int* place, int value) const { return atomicMin(place, value); }
-    int atomic_max(int* place, int value) const { return atomicMax(place, value); }
-    void atomic_min(unsigned* place, unsigned value) const { atomicMin(place, value); }
+    template <class T> T atomic_add(T* place, T value) const { return atomicAdd(place, value); }
+    template <class T> T atomic_min(T* place, T value) const { return atomicMin(place, value); }
+    template <class T> T atomic_max(T* place, T value) const { return atomicMax(place, value); }
     int atomic_or(int* place, int bits) const { return atomicOr(place, bits); }
     int atomic_cas(int* place, int expected, int value) const {
         return atomicCAS(place, expected, value);
@@ -65,12 +76,6 @@ struct Team {
         int before = 0;
         if (lane == first) before = atomicAdd(place, __popc(same));
         return __shfl_sync(same, before, first) + __popc(same & ((1u << lane) - 1));
-    }
-    void atomic_add(unsigned long long* place, unsigned long long value) const {
-        atomicAdd(place, value);
-    }
-    void atomic_min(unsigned long long* place, unsigned long long value) const {
-        atomicMin(place, value);
     }
 #else
     enum { rank = 0, size = 1 };
@@ -84,30 +89,23 @@ struct Team {
     static int input(const int* place) { return *place; }
     static unsigned char input(const unsigned char* place) { return *place; }
 
-    static int replace(int* place, int value) {
-        const int before = *place;
+    template <class T> static T replace(T* place, T value) {
+        const T before = *place;
         *place = value;
         return before;
     }
-    int atomic_add(int* place, int value) const { return replace(place, *place + value); }
-    int atomic_min(int* place, int value) const {
-        return value < *place ? replace(place, value) : *place;
+    template <class T> T atomic_add(T* place, T value) const { return replace(place, *place + value); }
+    template <class T> T atomic_min(T* place, T value) const {
+        return replace(place, value < *place ? value : *place);
     }
-    int atomic_max(int* place, int value) const {
-        return value > *place ? replace(place, value) : *place;
+    template <class T> T atomic_max(T* place, T value) const {
+        return replace(place, value > *place ? value : *place);
     }
     int atomic_or(int* place, int bits) const { return replace(place, *place | bits); }
     int atomic_cas(int* place, int expected, int value) const {
         return *place == expected ? replace(place, value) : *place;
     }
     int atomic_count(int* place) const { return (*place)++; }
-    void atomic_min(unsigned* place, unsigned value) const {
-        *place = value < *place ? value : *place;
-    }
-    void atomic_add(unsigned long long* place, unsigned long long value) const { *place += value; }
-    void atomic_min(unsigned long long* place, unsigned long long value) const {
-        *place = value < *place ? value : *place;
-    }
 #endif
 };
 
