@@ -11,7 +11,6 @@ import subprocess
 import sys
 import typing
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -99,8 +98,8 @@ def test_help_is_as_wide_as_the_terminal(
 def test_short_flags_equal_long_ones(tmp_path: Path, capsys: Captured) -> None:
     command = parse(["-q", "a", "-o", "x", "-y", "b", "--", "-o", "--c_d"])
     assert command.logs == ("a", "b", "-o", "--c_d")
-    assert (command.run.output, command.run.overwrite, command.quiet) == (Path("x"), True, True)
-    assert parse(["a", "-o=x"]).run.output == Path("x")
+    assert (command.output, command.run.overwrite, command.quiet) == (Path("x"), True, True)
+    assert parse(["a", "-o=x"]).output == Path("x")
     main(["run", "--help"])
     text = capsys.readouterr().out
     assert "\n  -o, --output DIR  " in text and "\n  -y, --overwrite  " in text
@@ -256,7 +255,7 @@ def test_angles_are_given_in_degrees_or_radians(
 
 
 SECTIONS = {field.name: type(getattr(Config(), field.name)) for field in fields(Config)}
-SECTIONS |= {"log": LogOptions, "run": partial(RunOptions, Path("x"))}
+SECTIONS |= {"log": LogOptions, "run": RunOptions}
 MAY_BE_NEGATIVE = {"canny_low", "canny_high", "camera_pitch_rad", "camera_roll_rad"}
 MAY_BE_NEGATIVE |= {"color_offset_s", "pose_offset_s"}
 
@@ -266,7 +265,7 @@ def test_implausible_numbers_are_usage_errors(section: str) -> None:
     """Flags, files and Python refuse -1, infinity and NaN for lengths and counts."""
     make = SECTIONS[section]
     height = {"camera_height_m": 0.3, "camera_pitch_rad": 0.0} if section == "ground" else {}
-    hints = typing.get_type_hints(getattr(make, "func", make))
+    hints = typing.get_type_hints(make)
     for name, hint in hints.items():
         numbers = {int: (-1,), float: (-1.0, math.nan, math.inf, 1e300)}
         kinds = [kind for kind in numbers if hint is kind or kind in typing.get_args(hint)]
@@ -442,7 +441,7 @@ def test_values_may_begin_with_a_minus_sign(tmp_path: Path) -> None:
     assert command.log.color_from_depth == (-0.1, -2.0, -1e-3, 0.0, 0.0, 0.0, 1.0)
     assert command.method.ground.camera_pitch_rad == -math.radians(10)
     assert (command.run.pictures, command.log.tf) == (2, False)
-    assert (command.log.depth_aligned, command.run.output) == (None, Path("x"))
+    assert (command.log.depth_aligned, command.output) == (None, Path("x"))
     again = ["a", "--output", "x", "--log.depth-aligned", "--log.no-depth-aligned"]
     assert parse(again).log.depth_aligned is False
     file = tmp_path / "a.toml"

@@ -262,7 +262,7 @@ def test_the_log_is_read_again_with_the_options_of_the_run(
 ) -> None:
     with Results(driven_results) as results:
         of, files = results.logs[0], find(results, [str(driven_log)])["sim"]
-        for batch, chunk in images(results, of, files):
+        for chunk, batch in images(results, of, files):
             stamps = batch.frames.stamp_ns[: chunk.frames.num_rows]
             assert stamps.tolist() == chunk.frames["stamp_ns"].to_pylist()
         (seen,) = look_again(results, of, files)

@@ -69,11 +69,11 @@ NO_SIZES = ["", "x", "-1G", "1.2.3G", "1EiB", "nan", "1e9", "12 parsec", "9" * 4
 
 
 @pytest.mark.parametrize("text", NO_SIZES)
-def test_invalid_sizes_are_errors(tmp_path, text):
+def test_invalid_sizes_are_errors(text):
     with pytest.raises(
         ConfigError, match=r"--memory: expected a size, got .*; pass a number .* 4GiB"
     ):
-        RunOptions(tmp_path, memory=text)
+        RunOptions(memory=text)
 
 
 @pytest.mark.parametrize(

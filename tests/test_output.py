@@ -321,7 +321,7 @@ def test_code_in_received_results_is_never_executed(copy: Path, logs: Path, tmp_
 
 
 def test_a_runner_keeps_its_processes_between_runs(logs: Path, tmp_path: Path) -> None:
-    with engine.Runner("reference", workers=2) as one:
+    with engine.Runner(backend="reference", workers=2) as one:
         first = one.run(logs / "a.mcap", tmp_path / "out", preset="wheeled")
         assert one._pool.started
         workers = [worker.process.pid for worker in one._pool._workers]
