@@ -138,10 +138,10 @@ def examples(
         shows = np.where(votes.any(axis=1), votes.argmax(axis=1), -1)
         size = np.minimum(np.bincount(label[label >= 0], minlength=count), ENOUGH)
         one, other = shows[pairs.one], shows[pairs.other]
-        asked = (np.minimum(one, other) >= 0) & (np.maximum(one, other) > 0)
-        asked &= ~(walls[one] & walls[other])
+        used = (np.minimum(one, other) >= 0) & (np.maximum(one, other) > 0)
+        used &= ~(walls[one] & walls[other])
         weight = np.sqrt(np.minimum(size[pairs.one], size[pairs.other]) / max(len(one), 1))
-        parts.append(Examples(pairs.features[asked], (one == other)[asked], weight[asked]))
+        parts.append(Examples(pairs.features[used], (one == other)[used], weight[used]))
     return joined(parts)
 
 

@@ -324,7 +324,8 @@ def check(log: Path, topics: Topics, count: int) -> None:
         for topic, image in images(log, topics):
             if (number := seen[topic]) < count:
                 ours = (frames.color if topic == topics.color else frames.depth)[number]
-                np.testing.assert_array_equal(ours, image, f"{name}, frame {number} of {topic}")
+                where = f"{name} reads another image: frame {number} of {topic}"
+                np.testing.assert_array_equal(ours, image, where)
             seen[topic] += 1
             if min(seen.values()) >= count:
                 break

@@ -57,7 +57,8 @@ def measure(path: Path) -> None:
     for name, values in zip(
         ("Detector, ms", "OpenCV's features, ms", "ratio"), (*both, both[0] / both[1]), strict=True
     ):
-        print(f"{name:<24} least {values[0]:.2f}, median {values[1]:.2f}, 95 % {values[2]:.2f}")
+        least, median, high = values
+        print(f"{name:<24} minimum {least:.2f}, median {median:.2f}, 95th percentile {high:.2f}")
 
 
 def main() -> None:

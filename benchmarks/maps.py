@@ -77,7 +77,7 @@ class Score(NamedTuple):
     in_map_things: int
 
 
-_TITLES = "phantoms before, after   things lost   added new, things   mapped in_map, things"
+_TITLES = "phantoms before, after   objects, lost   added new, objects   mapped in_map, objects"
 
 
 def main(options: Options) -> int:

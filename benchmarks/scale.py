@@ -105,10 +105,10 @@ def main(options: Options) -> int:
     frames, rate = options.frames_per_s, options.frames_per_s * options.frame_mb / 1000
     total, least, most = sizes.sum() / 1000, sizes.min(), sizes.max()
     print(f"{len(sizes)} logs, {total:.0f} TB, {least:.1f} to {most:.0f} GB, the largest first")
-    print(f"a node computes {frames:.0f} frames/s of {options.frame_mb} MB, {rate:.1f} GB/s")
-    print(f"a log adds {options.overhead_s:g} s; the next is fetched meanwhile: {options.prefetch}")
-    print(f"the bucket gives {options.bucket_gb:g} GB/s; nodes live for {options.life_h:g} h\n")
-    print("| nodes | network GB/s | hours | node hours | busy | logs begun again |")
+    print(f"a node processes {frames:.0f} frames/s of {options.frame_mb} MB, {rate:.1f} GB/s")
+    print(f"overhead {options.overhead_s:g} s per log; next log prefetched: {options.prefetch}")
+    print(f"bucket {options.bucket_gb:g} GB/s; mean life of a node {options.life_h:g} h\n")
+    print("| nodes | network GB/s | hours | node hours | busy | logs restarted |")
     print("|---:|---:|---:|---:|---:|---:|")
     for network in options.network_gb:
         for nodes in options.nodes:

@@ -89,12 +89,12 @@ def main(options: Options) -> int:
     missed = sum((s.missed for s in scores.values()), Counter())
     print(
         f"\nspeed error, moving: mean {speed.mean():.3f} m/s, median {np.median(speed):.3f}, "
-        f"90 % {np.quantile(speed, 0.9):.3f}; standing: mean {standing.mean():.4f}"
+        f"90th percentile {np.quantile(speed, 0.9):.3f}; static: mean {standing.mean():.4f}"
     )
     parts = np.mean([part for s in scores.values() for part in s.off], axis=0)
     print(
-        f"outlines' middles from those of what is in sight {parts[0]:.3f} m, these from the whole "
-        f"things' {parts[1]:.3f}, outlines' from the whole things' {parts[2]:.3f}; tracks': motp"
+        f"mean distance of centres: outline and visible part {parts[0]:.3f} m, visible part and "
+        f"whole object {parts[1]:.3f} m, outline and whole object {parts[2]:.3f} m"
     )
     print("missed frames: " + ", ".join(f"{n} {why}" for why, n in missed.most_common()))
     print(f"{_rate(options, results):,.0f} frames/s of a long log, tables read, linked and written")
@@ -288,7 +288,7 @@ class _Log:
             return "not detected"
         others = np.flatnonzero(self.truth.visible_pixels[frame] > 0)
         if any(_distance(o, place[i]) < 0 for o in holding for i in others if i != j):
-            return "merged with another thing"
+            return "merged with another object"
         return "detected, not in a track"
 
 

@@ -64,7 +64,7 @@ def test_a_vertex_must_exceed_the_threshold(backend):
 
 
 @BACKENDS
-def test_ties_are_resolved_to_the_nearer_and_left_point(backend):
+def test_ties_are_resolved_to_the_nearer_then_to_the_left_point(backend):
     x, z = [-100, -100, 100, 100, 0, -50], [900, 800, 700, 950, 600, 600]
     found = measure(backend, x, z, [0] * 6)
     assert np.asarray(found.a)[0, 0].tolist() == [-100, 800]

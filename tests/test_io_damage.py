@@ -68,7 +68,7 @@ def test_the_error_for_no_images_names_the_damage(tmp_path):
         open_log(str(path))
 
 
-def test_chunks_over_the_limit_are_reported(tmp_path):
+def test_chunks_larger_than_the_limit_are_reported(tmp_path):
     path = write_log(tmp_path / "x.mcap", make_scene(400), chunk_size=5 << 20)
     with pytest.raises(TopicError, match=r"larger than --log.max-chunk-mib \(1\)"):
         open_log(str(path), LogOptions(max_chunk_mib=1))

@@ -36,7 +36,7 @@ except KeyboardInterrupt:
     time.sleep(0.3)
     os._exit(7)
 """
-"""Code of a process with a block that ends by itself after a signal that it deferred."""
+"""Code of a process that defers signals in a block, until the block ends by itself."""
 
 
 def test_a_signal_is_raised_in_code_of_jaxdet() -> None:

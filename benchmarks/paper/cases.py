@@ -166,10 +166,10 @@ def _cell(section: Section, key: str, case: Case, mine: Sequence[Outcome]) -> st
 
 def _found_cell(section: Section, key: str, case: Case, tallies: list[Tally]) -> str:
     one = score(tallies)
-    hits, asked = int(one.tally.found), int(one.tally.visible)
-    rate = hits / asked if asked else float("nan")
-    section.add(f"{key}.found", rate, "", "higher", wilson(hits, asked))
-    text = f"{hits} of {asked}"
+    hits, required = int(one.tally.found), int(one.tally.visible)
+    rate = hits / required if required else float("nan")
+    section.add(f"{key}.found", rate, "", "higher", wilson(hits, required))
+    text = f"{hits} of {required}"
     if one.tally.false:
         pieces = int(one.tally.splits)
         text += f", {one.tally.false:.0f} false" + (f" ({pieces} pieces)" if pieces else "")

@@ -75,9 +75,10 @@ def load_detector(folder: Path) -> Detector:
         weights = _weights(read["weightsManifest"][0]["weights"], folder / "centernet.bin")
         nodes = [node for one in read["modelTopology"]["node"] for node in unfused(one)]
     except (ValueError, KeyError, TypeError, IndexError, OSError) as error:
-        raise InputError(f"no network of TensorFlow.js ({error})", path=str(path)) from error
+        raise InputError(f"not a network of TensorFlow.js ({error})", path=str(path)) from error
     if unknown := sorted({node["op"] for node in nodes} - OPS):
-        raise InputError(f"a network with the operations {', '.join(unknown)}", path=str(path))
+        problem = f"the network has operations that are not allowed: {', '.join(unknown)}"
+        raise InputError(problem, path=str(path))
     graph = json_format.ParseDict({"node": nodes}, tensorflow.compat.v1.GraphDef())
     for node in graph.node:
         if node.op == "Const":

@@ -103,9 +103,9 @@ def _reason(found: Detections, shot: Shot, number: int, config: Config) -> str:
     objects = objects_of(points, truth, 0, calibration.depth_unit, eval_config(config))
     mine = labels[objects == number]
     if len(mine) <= FEW_POINTS:
-        return "missed: too little of it was measured above the floor"
+        return "missed: too few of its points are measured above the floor"
     if (mine >= 0).sum() <= FEW_POINTS:
-        return "missed: what was measured of it is in no obstacle"
+        return "missed: no obstacle contains its measured points"
     label = np.bincount(mine[mine >= 0]).argmax()
     others = objects[labels == label]
     solid = np.concatenate([[False], ~truth.is_wall])

@@ -178,7 +178,7 @@ def read_boxes(path: Path) -> dict[int, FrameBoxes]:
                 raise ValueError(kind)
             metres = float(distance) if kind == "obstacle" else np.nan
         except ValueError as error:
-            raise InputError(f"line {number} is no label: {line!r}", path=str(path)) from error
+            raise InputError(f"line {number} is not a label: {line!r}", path=str(path)) from error
         row = _Row([u, v, right, bottom], metres, kind, _tags(name))
         rows.setdefault(int(frame), []).append(row)
     return {frame: _frame_boxes(mine) for frame, mine in rows.items()}

@@ -139,10 +139,11 @@ def main(options: Options) -> int:
     unknown = [name for name in options.only if name not in (*EXPERIMENTS, RECORDINGS)]
     if unknown:
         names = ", ".join(EXPERIMENTS)
-        print(f"no experiment {', '.join(unknown)}; there are {names}", file=sys.stderr)
+        print(f"unknown experiment {', '.join(unknown)}; choose from {names}", file=sys.stderr)
         return 2
     if absent := [name for name in options.rivals if name not in RIVALS]:
-        print(f"no baseline {', '.join(absent)}; there are {', '.join(RIVALS)}", file=sys.stderr)
+        names = ", ".join(RIVALS)
+        print(f"unknown baseline {', '.join(absent)}; choose from {names}", file=sys.stderr)
         return 2
     start = time.perf_counter()
     frames, results = _folders(options)

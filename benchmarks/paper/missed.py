@@ -27,10 +27,10 @@ from jaxdet.eval.polygon import overlap
 CLASSES = ("apart", "under or over another", "hardly measured")
 
 
-class Asked(NamedTuple):
+class ClassCounts(NamedTuple):
     """Numbers of required and of found objects, ``(3,)`` int64, in the order of ``CLASSES``."""
 
-    asked: np.ndarray
+    required: np.ndarray
     found: np.ndarray
 
 
@@ -55,15 +55,15 @@ def kinds_of(shot: Shot, config: EvalConfig) -> np.ndarray:
     return np.where(pixels < config.min_visible_pixels, 2, kinds)
 
 
-def judge_missed(task: tuple[Path, System]) -> Asked:
+def judge_missed(task: tuple[Path, System]) -> ClassCounts:
     """Run a system on all frames of a file; task of a worker."""
     path, system = task
     shots, config = load_shots(path), eval_config(system.config)
-    total = Asked(np.zeros(3, np.int64), np.zeros(3, np.int64))
+    total = ClassCounts(np.zeros(3, np.int64), np.zeros(3, np.int64))
     for shot, found in zip(shots, found_by(system, Prepared(shots)), strict=True):
         kinds = kinds_of(shot, config)
         for case in tally_of(shot, found, system.config).cases:
-            total.asked[kinds[case.number - 1]] += 1
+            total.required[kinds[case.number - 1]] += 1
             total.found[kinds[case.number - 1]] += case.found
     return total
 
@@ -81,23 +81,23 @@ def run(lab: Lab) -> Section:
     for family, error in product(FAMILIES, ERRORS):
         specs[f"{family}, {CAMERAS[error]}"] = specs_of(lab, family, error)
     rows, system = [], default(lab.config)
-    every = Asked(np.zeros(3, np.int64), np.zeros(3, np.int64))
+    every = ClassCounts(np.zeros(3, np.int64), np.zeros(3, np.int64))
     for family, own in specs.items():
         lab.store.ensure(own)
         parts = lab.run(judge_missed, [(lab.store.path(spec), system) for spec in own])
-        one = Asked(*(np.sum(part, axis=0) for part in zip(*parts, strict=True)))
-        every = Asked(*(a + b for a, b in zip(every, one, strict=True)))
+        one = ClassCounts(*(np.sum(part, axis=0) for part in zip(*parts, strict=True)))
+        every = ClassCounts(*(a + b for a, b in zip(every, one, strict=True)))
         rows.append([family, *_cells(one)])
     rows.append(["all", *_cells(every)])
     section.table(["Family", *(name.capitalize() for name in CLASSES)], rows)
-    for name, asked, found in zip(CLASSES, *every, strict=True):
+    for name, required, found in zip(CLASSES, *every, strict=True):
         key = f"{DEFAULT}.{name.replace(' ', '_')}.recall"
-        section.add(key, float(found / asked) if asked else float("nan"), "", "higher")
+        section.add(key, float(found / required) if required else float("nan"), "", "higher")
     return section
 
 
-def _cells(one: Asked) -> list[str]:
+def _cells(one: ClassCounts) -> list[str]:
     return [
-        f"{found} of {asked} ({percent(found / asked)})" if asked else "-"
-        for asked, found in zip(*one, strict=True)
+        f"{found} of {required} ({percent(found / required)})" if required else "-"
+        for required, found in zip(*one, strict=True)
     ]

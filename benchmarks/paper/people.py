@@ -175,9 +175,9 @@ def _add(
         only: Class of all boxes; empty if they have no class.
     """
     counted = boxes[on_known_ground(labels, boxes)]
-    asked = classes == only if only else np.ones(len(classes), bool)
+    of_class = classes == only if only else np.ones(len(classes), bool)
     pairs = np.full(len(classes), -1)
-    pairs[asked] = match_boxes(labels.boxes[asked], counted, least_iou)
+    pairs[of_class] = match_boxes(labels.boxes[of_class], counted, least_iou)
     for name in [only] if only else CLASSES:
         mine = classes == name
         one = Count(int(mine.sum()), int((pairs[mine] >= 0).sum()), len(counted) if only else 0)

@@ -65,7 +65,8 @@ def find(place: Path, config: Config) -> Iterator[Recording]:
         return
     logs = sorted(place.glob("*.mcap"))
     if not logs:
-        raise InputError("no log and no camera file", path=str(place), remedy="name its folder")
+        problem = "contains neither a log nor a camera file"
+        raise InputError(problem, path=str(place), remedy="pass the folder of the recordings")
     for path in logs:
         with open_log(str(path)) as log:
             frames = log.read(range(log.num_frames), color=True).frames

@@ -215,8 +215,8 @@ def run(lab: Lab) -> Section:
     header += ["False on floor", "Floor kept", "Distance error, median [m]", "90th percentile"]
     section.table(header, rows)
     for name, title, views in pictures:
-        caption = f"{name}, {title}: the frames with the fewest right of what is there or was "
-        caption += "found. White outlines: objects found, red: missed."
+        caption = f"{name}, {title}: the frames with the smallest fraction of matches among all "
+        caption += "objects and detections. White outlines: objects found, red: missed."
         section.picture(name, encode(grid(views, COLUMNS)), caption)
     return section
 

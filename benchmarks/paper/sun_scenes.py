@@ -137,7 +137,7 @@ def read_scene(folder: Path, root: Path) -> SunScene:
 def _only(folder: Path, pattern: str) -> Path:
     paths = sorted(folder.glob(pattern))
     if len(paths) != 1:
-        problem = f"{len(paths)} files {pattern} where a scene has one"
+        problem = f"{len(paths)} files match {pattern}, but a scene has one"
         raise InputError(problem, path=str(folder), remedy="copy the scene again")
     return paths[0]
 
@@ -149,7 +149,7 @@ def _numbers(path: Path, count: int) -> np.ndarray:
     except ValueError as error:
         raise InputError("no matrix of numbers", path=str(path)) from error
     if len(values) < count:
-        problem = f"{len(values)} numbers where there must be {count}"
+        problem = f"expected {count} numbers, got {len(values)}"
         raise InputError(problem, path=str(path), remedy="copy the scene again")
     return values
 
@@ -166,8 +166,8 @@ def read_polygons(path: Path) -> tuple[Polygon, ...]:
         names = [str(one.get("name", "")) if one else "" for one in read["objects"]]
         found = [_polygon(one, names) for one in read["frames"][0].get("polygon") or []]
     except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
-        problem = f"no labels of SUN RGB-D ({error})"
-        raise InputError(problem, path=str(path), remedy="mend or remove the file") from error
+        problem = f"not a file of SUN RGB-D labels ({error})"
+        raise InputError(problem, path=str(path), remedy="correct or remove the file") from error
     return tuple(one for one in found if one is not None)
 
 

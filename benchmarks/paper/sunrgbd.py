@@ -33,7 +33,7 @@ from jaxdet.results.rows import to_host
 
 TITLES = "paper", "wheeled"
 """Presets that are compared."""
-ASKED = {"standing": True, "things": False}
+REQUIRED = {"standing": True, "things": False}
 """Required objects: those that stand on the floor, or all."""
 PICTURED, WIDTH = 12, 420
 """Number of scenes in the picture, evenly spaced, and width of each view [pixel]."""
@@ -96,11 +96,13 @@ def run(lab: Lab) -> Section:
         )
     rows = [
         [
-            asked,
+            required,
             preset,
-            *_row(section, f"{preset}.{asked}", [one.tallies[asked, preset] for one in labelled]),
+            *_row(
+                section, f"{preset}.{required}", [one.tallies[required, preset] for one in labelled]
+            ),
         ]
-        for asked in ASKED
+        for required in REQUIRED
         for preset in TITLES
         if labelled
     ]
@@ -148,8 +150,8 @@ def judge(task: Task) -> Judgement:
     tallies = {}
     if scene.polygons is not None:
         tallies = {
-            (asked, name): _tally(scene, one, standing)
-            for asked, standing in ASKED.items()
+            (required, name): _tally(scene, one, standing)
+            for required, standing in REQUIRED.items()
             for name, one in found.items()
         }
     views = [_picture(scene, name, one) for name, one in found.items()] if task.pictured else []

@@ -49,7 +49,7 @@ def test_a_malformed_label_line_is_an_error(tmp_path):
     assert ignored.tolist() == [[2, 2, 4, 4]] and tags == ({"low", "cut"},)
     for bad in ("3 0 1 8 9 0.5 box it", "3 0 1 8 9 - obstacle it", "3 5 1 4 9 1 obstacle it", "3"):
         path.write_text(good + bad)
-        with pytest.raises(InputError, match="line 5 is no label"):
+        with pytest.raises(InputError, match="line 5 is not a label"):
             read_boxes(path)
 
 

@@ -100,7 +100,7 @@ def test_a_scene_is_read_with_its_labels_and_gravity(made):
         "wall", "floor", "Boxes", "chair1", "Boxes", "chair1", "vase"
     ]  # fmt: skip
     assert read_scene(folders[1], made).polygons is None
-    with pytest.raises(InputError, match="4 numbers where there must be 9"):
+    with pytest.raises(InputError, match="expected 9 numbers, got 4"):
         read_scene(folders[2], made)
 
 
@@ -162,7 +162,7 @@ def test_without_a_folder_of_scenes_the_section_reports_the_reason(tmp_path):
 def test_a_file_without_labels_is_an_error(tmp_path, text):
     path = tmp_path / "index.json"
     path.write_text(text)
-    with pytest.raises(InputError, match="no labels of SUN RGB-D"):
+    with pytest.raises(InputError, match="not a file of SUN RGB-D labels"):
         sun_scenes.read_polygons(path)
 
 

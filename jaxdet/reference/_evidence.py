@@ -10,7 +10,8 @@ from jaxdet.reference._outlines import contours
 from jaxdet.reference._view import Extents, View, extents
 
 MOST_BETWEEN = 11
-"""Two surfaces in a row or column are compared if at most this many runs of cells are between."""
+"""Two surfaces in a row or column are compared if at most this many runs of other surfaces are
+between them."""
 # surfaces are viewed obliquely: depths may differ by a tenth of the distance between them
 SLOPE = 10
 # surfaces that do not face each other are pairs if their contours are at most this many times
@@ -23,8 +24,7 @@ class Facing(NamedTuple):
     """Statistics of surfaces that face each other in rows or in columns, each ``(S, S)`` int64.
 
     Only the upper triangle is used. Two surfaces face each other where at most ``MOST_BETWEEN``
-    runs of cells lie between, none of which belongs to one of them. This may occur several times in
-    a row or column.
+    runs of other surfaces lie between them. This may occur several times in a row or column.
     """
 
     places: np.ndarray  # number of places where two surfaces face each other

@@ -46,7 +46,7 @@ class Sample(NamedTuple):
         return self.xyz[:, 2]
 
     def take(self, which: np.ndarray) -> "Sample":
-        """Return a selection of the cells."""
+        """Return the cells of a mask ``(K,)``."""
         return Sample(self.xyz[which], self.inner[which])
 
 
@@ -96,7 +96,15 @@ def score(below: np.ndarray, slack: np.ndarray) -> np.ndarray:
 def refined(
     plane: Plane, cells: Sample, rounds: tuple[int, int, int], prior: Plane | None, scale: Scale
 ) -> Plane:
-    """Apply :func:`refine` with a rough, a fine and a sharp tolerance, each for some ``rounds``."""
+    """Apply :func:`refine` with a rough, a fine and a sharp tolerance.
+
+    Args:
+        plane: Initial plane.
+        cells: ``K`` cells.
+        rounds: Number of rounds with each tolerance.
+        prior: Prior of the angles, or None.
+        scale: Depth unit and noise of depth.
+    """
     for slack, count in zip((scale.rough(ROUGH_DEG), scale.fine, scale.sharp), rounds, strict=True):
         plane = refine(plane, cells, slack, count, prior, scale.bits(LEVER_M))
     return plane

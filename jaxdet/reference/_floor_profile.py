@@ -61,7 +61,7 @@ class Profile(NamedTuple):
 
 
 def profile(plane: Plane, cells: Sample, scale: Scale) -> Profile:
-    """Compute the profile of cells above a plane."""
+    """Compute the profile of ``cells`` relative to a plane, see :class:`Profile`."""
     run_bits, rise_bits, unit = scale.bits(RUN_M), scale.bits(RISE_M), scale.unit
     runs, half = round(FARTHEST_M / unit) >> run_bits, round(HIGHEST_M / unit) >> rise_bits
     _, down, forward = floor_axes(plane)

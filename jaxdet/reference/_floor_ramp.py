@@ -80,7 +80,7 @@ def ramp_plane(level: Plane, ramp: Ahead) -> Plane:
 
 
 def is_seen(seen: Profile, ramp: Ahead, slack: np.ndarray, unit: float) -> bool:
-    """Return whether enough of the ramp is visible: cells that begin near its start and go on."""
+    """Return whether enough of the ramp is visible, from near its start over some distance."""
     rise = rises(np.array(ramp.start), np.array(ramp.turn), seen.run)
     distinct = np.abs(rise) > slack
     # If the tolerances of ramp and plane overlap, a cell belongs to the plane.

@@ -175,7 +175,7 @@ def _squares(
 
 
 def _least_in_tiles(squares: np.ndarray) -> np.ndarray:
-    """Return the minimum of each tile, ``(T, C)``."""
+    """Return the smallest squared range in each tile, ``(T, C)``."""
     rows, columns = squares.shape
     padded = np.pad(squares, ((0, -rows % TILE), (0, 0)), constant_values=np.inf)
     return padded.reshape(-1, TILE, columns).min(axis=1)

@@ -164,7 +164,7 @@ def _as_in_a_terminal() -> None:
 
 
 def _cpu_time(pid: int) -> float:
-    """Return the CPU time of a process that has not been waited for [s]."""
+    """Return the CPU time of a process that runs, or has ended but was not waited for [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / TICKS
 
