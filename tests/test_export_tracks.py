@@ -39,7 +39,7 @@ def walkers(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def linked(folder: Path) -> dict[int, list[int | None]]:
-    """Return the tracks of the obstacles of each frame."""
+    """Return the track of each obstacle, by frame number."""
     found = defaultdict(list)
     for row in pq.read_table(folder / "track_links.parquet").to_pylist():
         found[row["frame"]].append(row["track"])

@@ -127,7 +127,7 @@ class Timeline:
 
 
 def _best(index: np.ndarray, cost: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return each bin's row of least cost, in a tie the first; ``first``: first row of each bin."""
+    """Return the row of least cost in each bin, the first if tied; ``first``: first row per bin."""
     order = np.lexsort((np.arange(len(cost)), cost, index))
     return order[first]
 
