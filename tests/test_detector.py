@@ -492,7 +492,7 @@ REFUSED_IMAGES = {
         "depth: expected depth images, .* first",
     ),
     "depth in int32": ("call", DEPTH[0].astype(np.int32), None, "depth: expected .*, got int32"),
-    "millimetres in floats": ("call", DEPTH[0] * 1.0, None, "depth: the smallest .* metres"),
+    "millimetres in floats": ("call", DEPTH[0] * 1.0, None, "depth: all depths exceed .* metres"),
     "other colour": ("call", DEPTH[0], COLOR[0][:60], "color: images have 160x60 .* 160x120"),
     "fewer colours": ("batch", DEPTH, COLOR[:2], "color: expected 3 entries as for depth, got 2"),
     "too large": (

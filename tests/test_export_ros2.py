@@ -289,7 +289,7 @@ def test_another_log_is_refused(driven_log: Path, driven_results: Path, tmp_path
                 list(images(results, results.logs[0], LogFiles("sim", (path,))))
         with pytest.raises(InputError, match="not the log 'sim'"):
             list(look_again(results, results.logs[0], LogFiles("sim", (other,))))
-        with pytest.raises(InputError, match="no log 'later', but sim"):
+        with pytest.raises(InputError, match="no log 'later'; their logs are sim"):
             find(results, [str(later), str(short)])
         with pytest.raises(InputError, match="not the log 'sim'"):
             export(results, "ros2", tmp_path / "out", find(results, [str(later)]))

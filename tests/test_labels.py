@@ -74,7 +74,10 @@ BAD = {
     ),
     "three numbers": ([{"frame": 0, "box": [0, 0, 1]}], r"label 0: box must be 4 numbers, got \[0"),
     "not finite": ('[{"frame": 0, "box": [0, 0, 1, NaN]}]', "box must be 4 numbers"),
-    "no area": ([{"frame": 0, "box": [5, 0, 1, 4]}], "label 0: box has no area"),
+    "maximum below minimum": (
+        [{"frame": 0, "box": [5, 0, 1, 4]}],
+        "label 0: box has a maximum below its minimum",
+    ),
     "distance": ([{"frame": 0, "box": [0, 0, 1, 4], "distance_m": "2 m"}], "must be metres"),
     "a string": (["frame 12"], "labels.json: "),
 }

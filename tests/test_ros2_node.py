@@ -209,7 +209,7 @@ def test_the_mount_comes_from_tf(frames, monkeypatch):
     ("parameters", "problem"),
     [
         ({"config": "wheeld"}, "unknown preset 'wheeld'"),
-        ({"config": "paper"}, "config: this method needs colour images"),
+        ({"config": "paper"}, "config: the method needs colour images"),
         ({"depth_unit_m": 1}, "depth_unit_m: the depth unit must be from 1e-05 to 0.1 m, got 1 m"),
         ({"depth_unit_m": "mm"}, "depth_unit_m: expected"),
         (
@@ -217,7 +217,7 @@ def test_the_mount_comes_from_tf(frames, monkeypatch):
             "camera_height_m: camera height must be above 0 and below 20 m, got 30",
         ),
         ({"camera_height_m": 0.3, "camera_roll_rad": 9}, "camera_roll_rad: expected radians from"),
-        ({"camera_pitch_rad": 0.1}, "camera_height_m: is required with an angle"),
+        ({"camera_pitch_rad": 0.1}, "camera_height_m: is required with camera_pitch_rad"),
         ({"camera_height_m": 0.3, "base_frame": "base"}, "camera_height_m: contradicts base_frame"),
     ],
 )

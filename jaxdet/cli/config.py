@@ -70,7 +70,7 @@ _COMMENT: dict[str, Any] = {"initial_indent": "# ", "subsequent_indent": "# "}
 
 
 def _line(name: str, value: Any) -> str:
-    """Return a TOML line; a parameter without a value is commented out."""
+    """Return the TOML line of a parameter; without a value it is commented out."""
     if value is None:
         return f"# {name} ="
     return f"{name} = {json.dumps(list(value) if isinstance(value, tuple) else value)}"

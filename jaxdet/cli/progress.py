@@ -108,7 +108,7 @@ def _text(now: "Progress", steps: Callable[["Progress"], str]) -> str:
 
 
 def _slowest(now: "Progress") -> str:
-    """Return the name of the step that limits the rate."""
+    """Return a text that names the step that limits the rate."""
     return f"slowest: {now.bottleneck}"
 
 

@@ -294,9 +294,9 @@ def _from_metres(metres: np.ndarray, unit_m: float) -> np.ndarray:
     farthest = MAX_UNITS * unit_m
     if measured.size and measured.min() > farthest:
         raise InputError(
-            f"the smallest depth is {measured.min():g} m",
+            f"all depths exceed {farthest:g} m: the smallest is {measured.min():g} m",
             topic="depth",
-            remedy=f"pass floats in metres, at most {farthest:g}, or uint16 with depth_unit_m",
+            remedy="pass floats in metres, or uint16 with depth_unit_m",
         )
     units = np.empty(metres.shape, np.uint16)
     for row, frame in zip(units, metres, strict=True):

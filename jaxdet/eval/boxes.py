@@ -14,7 +14,7 @@ from jaxdet.eval.tally import Case, Tally
 MIN_IOU = 0.5
 """Minimum IoU of the boxes of an object and its detection."""
 NEAR_M = 0.08
-"""Extent in depth of an object's near surface, from the object's nearest points on [m]."""
+"""Depth range behind an object's nearest points that counts as its near surface [m]."""
 
 
 class BoxLabels(NamedTuple):

@@ -107,7 +107,8 @@ def _numbers(values: Any, where: str) -> list[float]:
 
 def _box(box: list[float], where: str) -> list[float]:
     if box[2] < box[0] or box[3] < box[1]:
-        raise InputError(f"{where} has no area", remedy="use u_min v_min u_max v_max, or COCO")
+        problem = f"{where} has a maximum below its minimum"
+        raise InputError(problem, remedy="use u_min v_min u_max v_max, or COCO")
     return box
 
 

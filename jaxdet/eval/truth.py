@@ -268,7 +268,7 @@ def nearest_on_floor(
         ValueError: The ground truth has no depth.
     """
     if truth.depth_m is None:
-        raise ValueError("distances need depth_m")
+        raise ValueError("distances require ground truth with depth_m")
     camera, center = calibration.image, np.zeros(3)
     if calibration.color_from_depth is not None:
         center = calibration.color_from_depth.T[:3, 3]  # depth camera's centre

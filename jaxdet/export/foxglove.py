@@ -244,7 +244,7 @@ def _entity(row: Row, obstacle: Row, T: np.ndarray, pose: Pose) -> SceneEntity:
 
 
 def _wall(count: int) -> list[int]:
-    """Return triangle indices between two lines of ``count`` points, stored consecutively."""
+    """Return triangle indices between two lines of ``count`` points, stored line by line."""
     indices: list[int] = []
     for i in range(count - 1):
         indices += [i, i + 1, count + i, count + i, i + 1, count + i + 1]

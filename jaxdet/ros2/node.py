@@ -117,7 +117,8 @@ class ObstacleNode:
         self._config = find_config(settings["config"])
         if self._config.cluster.points:
             remedy = "use another preset than paper"
-            raise ConfigError("this method needs colour images", topic="config", remedy=remedy)
+            problem = "the method needs colour images, which the node does not receive"
+            raise ConfigError(problem, topic="config", remedy=remedy)
         self._unit = number("depth_unit_m", settings["depth_unit_m"])
         with _about("depth_unit_m", "give metres, 0.001 for millimetres"):
             check_depth_unit(self._unit)
@@ -327,7 +328,8 @@ def _mount(settings: Mapping[str, Any]) -> Mount | None:
     height, *angles = (settings[f"camera_{name}"] for name in ("height_m", "pitch_rad", "roll_rad"))
     if not height:
         if any(angles):
-            raise ConfigError("is required with an angle", topic="camera_height_m")
+            problem = "is required with camera_pitch_rad and camera_roll_rad"
+            raise ConfigError(problem, topic="camera_height_m")
         return None
     if settings["base_frame"]:
         remedy = "set only one of them"

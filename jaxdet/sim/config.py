@@ -114,7 +114,7 @@ class SimConfig:
 
 
 def calibration_of(config: SimConfig) -> Calibration:
-    """Return the calibration for images of the configured size; their width sets the scale."""
+    """Return the calibration for images of the configured size; it is scaled by their width."""
     width, height = config.width, config.height
     scale = width / 640
     shift = (height - 480 * scale) / 2

@@ -170,7 +170,7 @@ def _vignette(camera: Intrinsics, part: float) -> np.ndarray:
 
 
 def _smear(image: np.ndarray, length_px: float) -> np.ndarray:
-    """Blur horizontally by a box of this length, with fractional ends."""
+    """Blur horizontally by a box filter of a length that need not be a whole number."""
     if length_px < 0.2:
         return image
     half = int(np.ceil(length_px / 2))

@@ -138,9 +138,9 @@ class Path:
     speed: float = 0.5
     """Maximum speed along the line [m/s]."""
     weave: float = 0.0
-    """Lateral amplitude [m]."""
+    """Amplitude of a lateral sine motion [m]."""
     weave_length: float = 3.0
-    """Wavelength [m]."""
+    """Wavelength of the sine along the line [m]."""
     lead_s: float = 0.0
     """Time between the start of the motion and the first frame [s]."""
 
