@@ -78,7 +78,7 @@ class LogFile(ABC):
                 self.state = state or FileState.of(os.fstat(self._descriptor))
                 self.size = self.state.size
                 self.check_unchanged()
-                magic = LogFile.read(self, 0, min(self.size, len(self.magic)))
+                magic = self.read(0, min(self.size, len(self.magic)))
             except (OSError, DamageError) as error:
                 text = getattr(error, "strerror", None) or error
                 problem = f"can't be read ({text})"
@@ -186,7 +186,10 @@ class LogFile(ABC):
         """
 
     def chunk_begin(self, position: int, size: int) -> bytes:
-        """Return up to ``size`` bytes of a compressed chunk's records, unchecked; may be empty."""
+        """Return up to ``size`` bytes of a compressed chunk's records, unchecked.
+
+        The result is empty if decompressing the complete chunk takes about as long.
+        """
         return b""
 
     def name_of(self, position: int) -> str:
@@ -211,7 +214,7 @@ class LogFile(ABC):
             raise DamageError("file ends early")
         whole = bytearray(size)
         whole[: len(data)] = data
-        LogFile.read_into(self, position + len(data), [memoryview(whole)[len(data) :]])
+        self.read_into(position + len(data), [memoryview(whole)[len(data) :]])
         return bytes(whole)
 
     def read_into(self, position: int, parts: Sequence[memoryview]) -> None:

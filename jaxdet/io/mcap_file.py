@@ -21,6 +21,8 @@ from jaxdet.io.mcap_scan import rebuild_mcap_index
 
 _BEGIN_BYTES = 192 << 10
 """Number of bytes of a compressed chunk that contain its first zstd block."""
+_LARGE_BYTES = 1 << 18
+"""Size from which on decompressing only the begin of a chunk saves time [byte]."""
 _PACKED_BYTES = 16 << 20
 """Maximum size of a compressed chunk that is read into its thread's buffer."""
 _of_thread = local()
@@ -62,6 +64,8 @@ class McapFile(LogFile):
     def chunk_begin(self, position: int, size: int) -> bytes:
         """Return the first records of a chunk, see :meth:`LogFile.chunk_begin`."""
         head = self.chunk_head(position)
+        if head.uncompressed_size < _LARGE_BYTES:
+            return b""
         data = self.read(position + head.data_offset, min(head.data_size, _BEGIN_BYTES))
         return decompress_begin(head, data, size)
 

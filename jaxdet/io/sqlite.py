@@ -20,11 +20,11 @@ import numpy as np
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
-from jaxdet.io.container import FileState, LogFile
+from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
-from jaxdet.io.message_file import MessageFile, MessageRow, indexed_messages, position_of
+from jaxdet.io.message_file import MessageFile, MessageRow, indexed_messages
 from jaxdet.io.messages import kind_of
 from jaxdet.io.walk import Walk
 
@@ -103,8 +103,8 @@ class SqliteFile(MessageFile):
             MessageRow(int(value), int(log_ns.min(initial=0)), 0).check()
         if (np.diff(number) <= 0).any():
             raise DamageError("numbers of messages are out of order")
-        for value in (number.min(initial=0), number.max(initial=0)):
-            position_of(int(value))
+        if number.min(initial=0) < 0:
+            raise DamageError("number of a message is out of range")
         if _declared(self) not in (None, len(number)):
             raise DamageError("index of times contradicts the messages")
         messages = indexed_messages(number, channel, log_ns, size)
@@ -128,7 +128,6 @@ class SqliteFile(MessageFile):
         for number, channel, log_ns, data, size in _rows(self, walk.lost):
             try:
                 MessageRow(channel, log_ns, size).check()
-                position = position_of(number)
                 if channel not in infos:
                     raise DamageError("message of an undeclared topic")
                 if not isinstance(data, bytes):
@@ -137,7 +136,7 @@ class SqliteFile(MessageFile):
             except DamageError as error:
                 walk.lose(str(error), size or 0)
                 continue
-            walk.add(channel, log_ns, position, len(data) + PAYLOAD_OFFSET, 0)
+            walk.add(channel, log_ns, number, len(data) + PAYLOAD_OFFSET, 0)
         return walk.index(
             infos,
             declared_messages=_declared(self),
@@ -166,27 +165,18 @@ class SqliteFile(MessageFile):
         except (sqlite3.Error, OverflowError) as error:
             raise _damage(error) from error
 
-    def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
-        """Fill writable byte views one after the other with a message's data from ``start`` on.
-
-        Raises:
-            DamageError: The data end earlier, or can't be read.
-        """
+    def payload(self, number: int, most: int) -> bytes:
+        """Return the first bytes of a message's data, see :meth:`MessageFile.payload`."""
         try:
             with self._connection().blobopen("messages", "data", number, readonly=True) as blob:
-                blob.seek(start)
-                for part in parts:
-                    data = blob.read(len(part))
-                    if len(data) != len(part):
-                        raise DamageError("message ends early")
-                    part[:] = data
+                return blob.read(most)
         except (sqlite3.Error, OverflowError, ValueError) as error:
             raise _damage(error) from error
 
     @property
     def declared_bytes(self) -> int:
         """Size of the file according to its header [byte]."""
-        page, pages = LogFile.read(self, 16, 2), LogFile.read(self, 28, 4)
+        page, pages = self.read(16, 2), self.read(28, 4)
         size = int.from_bytes(page, "big")
         return int.from_bytes(pages, "big") * (65536 if size == 1 else size)
 
