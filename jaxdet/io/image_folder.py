@@ -14,7 +14,7 @@ from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.folders.basic import RATE_HZ
 from jaxdet.io.folders.layouts import read_recording
 from jaxdet.io.folders.messages import TOPICS, encode_recording
-from jaxdet.io.message_file import MessageFile, MessageRow, indexed_messages
+from jaxdet.io.message_file import MessageFile, MessageRow
 
 
 class ImageFolder(MessageFile):
@@ -48,9 +48,8 @@ class ImageFolder(MessageFile):
 
     def read_index(self) -> FileIndex:
         """Build the index of the messages from the names and sizes of the files."""
-        rows = [self.row(number) for number in range(len(self._messages))]
-        channel, log_ns, size = np.array(rows, np.int64).reshape(-1, 3).T
-        messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
+        rows = [(item.channel, item.log_ns, n, 0) for n, item in enumerate(self._messages)]
+        messages = np.array(rows, np.int64).reshape(-1, 4).T
         return file_index(self.infos, messages, FileIntegrity(self.path, by_index=True))
 
     def close(self) -> None:

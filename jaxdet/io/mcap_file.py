@@ -56,7 +56,7 @@ class McapFile(LogFile):
         opcode, length = RECORD_HEAD.unpack_from(known)
         if opcode == Opcode.MESSAGE and length <= self.size - position:
             size = RECORD_HEAD.size + length
-            return ChunkHead(0, 0, size, 0, "", -RECORD_HEAD.size, size, length)
+            return ChunkHead(0, 0, size, 0, "", -RECORD_HEAD.size, size)
         if opcode != Opcode.CHUNK:
             raise DamageError("no chunk at the expected position")
         return read_chunk_head(known[RECORD_HEAD.size :][:length], length)

@@ -197,8 +197,6 @@ class _Chunk(NamedTuple):
 
     position: int
     """Position of the record's content [byte]."""
-    length: int
-    """Length of the record's content [byte]."""
     size: int
     """Size of the decompressed records [byte]."""
     start_ns: int
@@ -226,7 +224,7 @@ def read_mcap_index(file: LogFile) -> FileIndex:
             if not head.start_ns <= head.end_ns <= MAX_TIME_NS:
                 raise DamageError("chunk ends before it begins")
             about = head.uncompressed_size, head.start_ns, head.end_ns, head.crc != 0
-            chunks.append(_Chunk(position, length, *about))
+            chunks.append(_Chunk(position, *about))
             file.check_messages(size // INDEX_ENTRY_BYTES)
         elif opcode == Opcode.MESSAGE_INDEX:
             file.check_size(length, "message index")
@@ -267,10 +265,10 @@ def _indexed_messages(
     count, channel = size // INDEX_ENTRY_BYTES, head["f0"].astype(np.int64)
     log_ns, offset = values.astype(np.int64).reshape(-1, 2).T
     columns = np.array(chunks, np.int64).reshape(-1, len(_Chunk._fields)).T
-    position, length, most, start, end, _ = columns[:, np.repeat(owners, count)]
+    position, most, start, end, _ = columns[:, np.repeat(owners, count)]
     if not ((log_ns >= start) & (log_ns <= end) & (offset <= most - PAYLOAD_OFFSET)).all():
         raise DamageError("message index points beyond its chunk")
-    return np.stack([np.repeat(channel, count), log_ns, position, length, offset])
+    return np.stack([np.repeat(channel, count), log_ns, position, offset])
 
 
 def _check_counts(statistics: Statistics | None, num_chunks: int, found: FileIndex) -> None:

@@ -7,7 +7,6 @@ position is the number of the message.
 from abc import abstractmethod
 from typing import NamedTuple
 
-import numpy as np
 from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, ChunkHead, DamageError
@@ -40,13 +39,6 @@ class MessageRow(NamedTuple):
         return self
 
 
-def indexed_messages(
-    number: np.ndarray, channel: np.ndarray, log_ns: np.ndarray, size: np.ndarray
-) -> np.ndarray:
-    """Assemble the input of :func:`jaxdet.io.file_index.file_index` from ``(N,)`` columns."""
-    return np.stack([channel, log_ns, number, size + PAYLOAD_OFFSET, np.zeros_like(number)])
-
-
 class MessageFile(LogFile):
     """A file of numbered messages."""
 
@@ -74,7 +66,7 @@ class MessageFile(LogFile):
         """
         _, log_ns, size = self.row(position)
         size += PAYLOAD_OFFSET
-        return ChunkHead(log_ns, log_ns, size, 0, _COMPRESSION, 0, size, size)
+        return ChunkHead(log_ns, log_ns, size, 0, _COMPRESSION, 0, size)
 
     def chunk(self, position: int) -> bytes:
         """Return a message with its header.

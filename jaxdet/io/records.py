@@ -78,10 +78,7 @@ def read_message(
     if opcode != Opcode.MESSAGE or (channel, min(log_ns, MAX_TIME_NS)) != expected:
         raise DamageError("no message at the position in the index")
     size = length - MESSAGE_HEAD.size
-    head = store.head(place)
-    if head.length != messages.length[number]:
-        raise DamageError("the length of the chunk differs from the index")
-    if size < 0 or offset + PAYLOAD_OFFSET + size > head.uncompressed_size:
+    if size < 0 or offset + PAYLOAD_OFFSET + size > store.head(place).uncompressed_size:
         raise DamageError("message is longer than its chunk")
     wanted = size if most is None else min(size, most)
     if wanted > len(known) - PAYLOAD_OFFSET:

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 from jaxdet.errors import InputError
-from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
+from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
-from jaxdet.io.message_file import MessageFile, MessageRow, indexed_messages
+from jaxdet.io.message_file import MessageFile, MessageRow
 from jaxdet.io.messages import kind_of
 from jaxdet.io.walk import Walk
 
@@ -48,7 +48,7 @@ _DAMAGED = "page is damaged"
 _MAX_LOST = 100_000
 """Maximum number of ids that are tried one by one if pages are damaged; this takes a few seconds.
 """
-_INDEX = "SELECT id, topic_id, timestamp, length(data) FROM messages ORDER BY id"
+_INDEX = "SELECT id, topic_id, timestamp FROM messages ORDER BY id"
 _DATA = """SELECT id, topic_id, timestamp,
 CASE WHEN length(data) <= :most THEN data END, length(data)
 FROM messages WHERE id > :before ORDER BY id LIMIT :count"""
@@ -91,13 +91,13 @@ class SqliteFile(MessageFile):
         if self.declared_bytes > self.size:
             raise DamageError("file ends early")
         infos = _channels(self)
-        rows, parts = self.query(_INDEX), [np.zeros((4, 0), np.int64)]
+        rows, parts = self.query(_INDEX), [np.zeros((3, 0), np.int64)]
         try:
             while some := list(islice(rows, _ROWS_AT_ONCE)):
                 parts.append(np.array(some, np.int64).T)
         except (OverflowError, TypeError, ValueError) as error:
             raise _damage(error) from error
-        number, channel, log_ns, size = np.concatenate(parts, axis=1)
+        number, channel, log_ns = np.concatenate(parts, axis=1)
         self.check_messages(len(number))
         for value in (channel.min(initial=0), channel.max(initial=0)):
             MessageRow(int(value), int(log_ns.min(initial=0)), 0).check()
@@ -107,7 +107,7 @@ class SqliteFile(MessageFile):
             raise DamageError("number of a message is out of range")
         if _declared(self) not in (None, len(number)):
             raise DamageError("index of times contradicts the messages")
-        messages = indexed_messages(number, channel, log_ns, size)
+        messages = np.stack([channel, log_ns, number, np.zeros_like(number)])
         return file_index(infos, messages, FileIntegrity(self.path, by_index=True))
 
     def rebuild_index(self) -> FileIndex:
@@ -136,7 +136,7 @@ class SqliteFile(MessageFile):
             except DamageError as error:
                 walk.lose(str(error), size or 0)
                 continue
-            walk.add(channel, log_ns, number, len(data) + PAYLOAD_OFFSET, 0)
+            walk.add(channel, log_ns, number, 0)
         return walk.index(
             infos,
             declared_messages=_declared(self),
