@@ -100,9 +100,7 @@ def search_index(file: LogFile, index: FileIndex, builder: ContentsBuilder) -> N
         for topic in _find_topics([file], [index], builder)
         if topic.kind not in _MOTIONS or topic.is_static
     ]
-    probes = [(topic, _probes(topic, False)) for topic in topics]
-    for topic, number in _in_file_order(store, probes):
-        _take(builder, topic, number, read_message(store, topic.messages, number)[1])
+    _read(store, builder, [(topic, _probes(topic, False)) for topic in topics])
 
 
 def _read_first(
@@ -121,15 +119,13 @@ def _read_first(
         RescanError: The first messages show that all messages must be read.
     """
     contents = builder.contents
-    probes = [(topic, _probes(topic, whole)) for topic in topics]
-    for topic, number in _in_file_order(store, probes):
-        _take(builder, topic, number, read_message(store, topic.messages, number)[1])
+    _read(store, builder, [(topic, _probes(topic, whole)) for topic in topics])
+    if not whole and any(tree.ignored for tree in contents.trees.values()):
+        raise RescanError("a transform is invalid", path=contents.path)
+    for topic in topics:
         if contents.topics[topic.topic].undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=contents.path, topic=topic.topic)
-        if not whole and any(tree.ignored for tree in contents.trees.values()):
-            raise RescanError("a transform is invalid", path=contents.path, topic=topic.topic)
-    for topic in topics:
         known = contents.calibrations.get(topic.topic)
         more = topic.num_messages > NUM_PROBES
         if known and more and (known.first is None or known.first.K[:1] == (0.0,)):
@@ -160,7 +156,7 @@ def _read_all(
             problem = stream.read(rank) if stream else ""
             if stream is None or builder.is_probe(topic.decoder(number)):
                 problem = ""  # the same problem is found again
-                _take(builder, topic, number, read_message(store, topic.messages, number)[1])
+                _take(store, builder, topic, number)
         except DamageError as error:
             if trusted:
                 raise
@@ -188,7 +184,16 @@ def _in_file_order(
             yield parts[int(which[row])][0], int(numbers[row])
 
 
-def _take(builder: ContentsBuilder, topic: TopicMessages, number: int, payload: memoryview) -> None:
+def _read(
+    store: ChunkStore, builder: ContentsBuilder, parts: Sequence[tuple[TopicMessages, np.ndarray]]
+) -> None:
+    """Read messages, given by topics and message numbers, in file order."""
+    for topic, number in _in_file_order(store, parts):
+        _take(store, builder, topic, number)
+
+
+def _take(store: ChunkStore, builder: ContentsBuilder, topic: TopicMessages, number: int) -> None:
+    _, payload = read_message(store, topic.messages, number)
     builder.take(topic.decoder(number), int(topic.messages.log_ns[number]), payload)
 
 
@@ -197,9 +202,9 @@ def _find_topics(
 ) -> list[TopicMessages]:
     """Return the topics with useful messages; other topics are only recorded and counted."""
     found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
+    path, nbytes = builder.contents.path, sum(file.size for file in files)
     for number, (file, entries) in enumerate(zip(files, indexes, strict=True)):
-        builder.next_file(file)
-        check_topics(len(entries.infos), builder.path)
+        check_topics(len(entries.infos), path)
         if builder.images:
             builder.contents.integrity.append(entries.integrity._replace(path=file.named))
         for key, count in sorted(entries.counts.items(), key=lambda item: item[1].first_ns):
@@ -225,8 +230,8 @@ def _find_topics(
     for topic in topics:
         small += topic.num_messages * (topic.kind not in IMAGE_KINDS)
         if topic.kind in IMAGE_KINDS:
-            check_count("images", topic.num_messages, builder.bytes, builder.path, topic.topic)
-        check_count("small messages", small, builder.bytes, builder.path, topic.topic)
+            check_count("images", topic.num_messages, nbytes, path, topic.topic)
+        check_count("small messages", small, nbytes, path, topic.topic)
     return topics
 
 
