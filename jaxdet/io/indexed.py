@@ -14,11 +14,11 @@ from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
 from jaxdet.io.contents import FIRST_MOTIONS, ContentsBuilder, LogContents
 from jaxdet.io.decode_messages import MessageDecoder
-from jaxdet.io.file_index import FileIndex, IndexedMessages, Place
+from jaxdet.io.file_index import FileIndex, IndexedMessages
 from jaxdet.io.limits import check_count, check_topics
 from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
 from jaxdet.io.motion_windows import MotionWindows
-from jaxdet.io.records import TopicMessages, read_message
+from jaxdet.io.records import TopicMessages, read_message, rows_in_file_order
 from jaxdet.io.repeats import drop_repeated
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.streams import NUM_PROBES
@@ -174,14 +174,8 @@ def _in_file_order(
     which = np.repeat(np.arange(len(parts)), [len(numbers) for _, numbers in parts])
     numbers = np.concatenate([np.zeros(0, np.int64), *(numbers for _, numbers in parts)])
     messages = IndexedMessages.joined([topic.messages.rows(rows) for topic, rows in parts])
-    order = np.lexsort((messages.offset, messages.position, messages.file))
-    file, position = messages.file[order], messages.position[order]
-    starts = np.flatnonzero((np.diff(file, prepend=-1) != 0) | (np.diff(position, prepend=-1) != 0))
-    ends = np.append(starts, len(order))[1:].tolist()
-    places = (Place(int(file[row]), int(position[row])) for row in starts.tolist())
-    for _, start, end in zip(store.loaded(places), starts.tolist(), ends, strict=True):
-        for row in order[start:end].tolist():
-            yield parts[int(which[row])][0], int(numbers[row])
+    for row in rows_in_file_order(store, messages):
+        yield parts[int(which[row])][0], int(numbers[row])
 
 
 def _read(

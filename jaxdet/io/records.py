@@ -1,5 +1,6 @@
 """Reading of messages by the index, with a check of each against the index."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +52,18 @@ class TopicMessages(NamedTuple):
         """Return the messages in order of log time, then of the files."""
         order = np.argsort(self.messages.log_ns, kind="stable")
         return self._replace(messages=self.messages.rows(order))
+
+
+def rows_in_file_order(store: ChunkStore, messages: IndexedMessages) -> Iterator[int]:
+    """Yield the index of each message in file order, with its chunk loaded."""
+    order = np.lexsort((messages.offset, messages.position, messages.file))
+    file, position = messages.file[order], messages.position[order]
+    is_first = (np.diff(file, prepend=-1) != 0) | (np.diff(position, prepend=-1) != 0)
+    starts = np.flatnonzero(is_first)
+    ends = np.append(starts, len(order))[1:].tolist()
+    places = messages.places(order[starts])
+    for _, start, end in zip(store.loaded(places), starts.tolist(), ends, strict=True):
+        yield from order[start:end].tolist()
 
 
 def read_message(
