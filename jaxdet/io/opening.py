@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from os import PathLike
-from pathlib import Path
 
 from jaxdet.arguments import of_type
 from jaxdet.errors import (
@@ -127,19 +126,13 @@ def open_files(
     failures: list[InputError] = []
     for path in log.paths:
         try:
-            files.append(_open(path, options, memory))
+            files.append(open_file(path, options.max_chunk_mib << 20, memory))
         except InputError as error:
             failures.append(error)
     if not files:
         raise failures[0]
     warnings = [f"{error}; the file is left out" for error in failures]
     return files, warnings + [file.note for file in files if file.note]
-
-
-def _open(path: Path, options: LogOptions, memory: ReadMemory) -> LogFile:
-    file = open_file(path, options.max_chunk_mib << 20)
-    file.memory = memory
-    return file
 
 
 def _find_contents(
@@ -177,12 +170,9 @@ def _search_siblings(
     """Read static transforms and calibration from the other splits of the recording, in order."""
     for path in siblings(log):
         try:
-            with closing(_open(path, options, memory)) as file:
+            with closing(open_file(path, options.max_chunk_mib << 20, memory)) as file:
                 builder = ContentsBuilder(contents, options.tf, images=False)
-                try:
-                    search_index(file, file.read_index(), builder)
-                except DamageError:
-                    search_index(file, file.rebuild_index(), builder)
+                search_index(file, file.find_index(), builder)
         except ChunkMemoryError:
             raise  # otherwise the result would depend on the available memory
         except (InputError, DamageError) as error:
