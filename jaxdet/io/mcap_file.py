@@ -81,7 +81,7 @@ class McapFile(LogFile):
         if head.is_plain:
             return decompress(head, self.read(start, head.data_size))
         data = _packed_memory(head.data_size)
-        self.read_into(start, [data])
+        self.read_into(start, data)
         return decompress(head, data)
 
 
