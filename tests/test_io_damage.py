@@ -140,7 +140,7 @@ def test_flipped_bytes_without_crc_give_frames_or_a_clear_error(tmp_path, use_ch
             assert "\n" not in str(error)
 
 
-def test_a_damaged_length_is_skipped_by_the_index(tmp_path):
+def test_a_record_with_a_damaged_length_is_skipped_with_the_index(tmp_path):
     path = write_log(tmp_path / "x.mcap", SCENE, chunk_size=6000)
     data, chunks = bytearray(path.read_bytes()), chunk_index(path)
     struct.pack_into("<Q", data, chunks[4].chunk_start_offset + 1, 2**64 - 1)
@@ -200,7 +200,7 @@ def test_a_missing_summary_loses_no_frames(tmp_path):
         assert "no end of file" in log.description.integrity[0].text
 
 
-def test_missing_crcs_are_a_note(tmp_path):
+def test_missing_crcs_are_reported_in_a_note(tmp_path):
     with open_log(str(write_log(tmp_path / "x.mcap", SCENE, crc=False))) as log:
         assert log.description.integrity[0].text == "not checkable (no CRC in file)"
 
@@ -260,7 +260,7 @@ def test_records_beyond_the_end_of_their_chunk_are_dropped():
         list(chunk_records(flood))
 
 
-def test_a_large_chunk_is_rejected_with_the_name_of_the_flag(tmp_path):
+def test_the_error_for_a_large_chunk_names_the_flag(tmp_path):
     scene = make_scene(260)
     path = write_log(tmp_path / "x.mcap", scene, compression="none", chunk_size=1 << 22)
     with open_log(str(path)) as log:

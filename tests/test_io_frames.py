@@ -80,7 +80,7 @@ def test_bad_frames_have_their_status_and_the_others_are_read(bad_log):
     assert not batch.notes.bad_color and not batch.frames.depth[4:6].any()
 
 
-def test_bad_colour_is_only_a_note(bad_log):
+def test_bad_colour_is_only_reported_in_a_note(bad_log):
     log, scene = bad_log
     [batch] = log.batches(8, color=True)
     assert statuses(batch) == BAD and not batch.frames.color[1:4].any()
@@ -177,7 +177,7 @@ def test_unsupported_encodings_are_named(tmp_path, encoding):
         open_log(str(tmp_path / "log.mcap"), LogOptions(color=DEPTH))
 
 
-def test_zero_timestamps_become_log_times_and_frames_are_sorted(tmp_path):
+def test_zero_timestamps_are_replaced_by_log_times_and_frames_are_sorted(tmp_path):
     scene = make_scene(3)
     with LogFile(tmp_path / "zero.mcap") as log:
         write_calibration(log)

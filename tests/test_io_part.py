@@ -76,7 +76,7 @@ def test_invalid_times_are_errors_that_name_the_flag(text):
         LogOptions(stop=text)
 
 
-def test_every_must_be_at_least_1():
+def test_the_flag_every_must_be_at_least_1():
     with pytest.raises(ConfigError, match="--every must be at least 1"):
         LogOptions(every=0)
 
@@ -111,7 +111,7 @@ def test_a_part_has_the_images_timestamps_and_pairs_of_the_complete_log(log_path
                 assert_same_batch(batch, whole.read(log.frames))
 
 
-def test_units_cover_a_part(log_path):
+def test_batches_of_a_part_have_its_frames(log_path):
     with open_only(str(log_path), LogOptions(start="0.5", every=4)) as log:
         assert list(log.frames) == list(range(16, 60, 4))
         found = [batch.frames.number.tolist() for batch in log.batches(2, 17, 30)]

@@ -11,7 +11,6 @@ from pathlib import Path
 from threading import Event
 from typing import Any, NamedTuple
 
-from jaxdet.engine.options import OF_RUN, OF_RUNNER
 from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError
 from jaxdet.fleet.logs import Log, entries_of, size_of
 from jaxdet.fleet.place import Bucket, address, open_place, probe
@@ -29,9 +28,6 @@ from jaxdet.fleet.publish import (
 from jaxdet.fleet.spool import Spool, check_room, sweep
 from jaxdet.results.layout import FAILED, RUN
 from jaxdet.results.publish import remove
-
-ENGINE_KEYS = ("preset", "config", "log", *OF_RUNNER, *OF_RUN)
-"""Keys of ``how`` that :func:`jaxdet.engine.run_one` takes."""
 
 
 def run_log(log: Log, place: str, how: Mapping[str, Any]) -> dict[str, Any]:
@@ -296,10 +292,9 @@ def _run_one(one: _Fetched, staged: Path, how: Mapping[str, Any]) -> dict[str, A
     """Run the engine on one log; errors of the log are in ``error``."""
     from jaxdet import engine
 
-    chosen = {key: how[key] for key in ENGINE_KEYS if how.get(key) is not None}
-    chosen["about"] = one.about(how)
+    given = {**how, "name": one.log["log"], "about": one.about(how)}
     try:
-        found = engine.run_one(str(one.path), staged, {**chosen, "name": one.log["log"]})
+        found = engine.run_one(str(one.path), staged, given)
     except (ConfigError, OutputError):
         raise
     except JaxdetError as error:
