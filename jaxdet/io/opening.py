@@ -20,7 +20,7 @@ from jaxdet.io.contents import ContentsBuilder, LogContents
 from jaxdet.io.description import describe_topics
 from jaxdet.io.file_index import FileIndex
 from jaxdet.io.files import LogFiles, find_logs, missing_splits, siblings
-from jaxdet.io.findings import find
+from jaxdet.io.findings import check_sampled, find
 from jaxdet.io.formats import open_file
 from jaxdet.io.indexed import IndexedLog, open_index, search_index
 from jaxdet.io.limits import ReadMemory
@@ -84,6 +84,7 @@ def _opened(
 
     Raises:
         JaxdetError: See :func:`open_log`; the error lists damaged files and topics.
+        RescanError: The first messages show that all messages must be read.
     """
     contents, store = known.contents, known.store
     contents.warnings += left_out
@@ -91,6 +92,8 @@ def _opened(
     try:
         found = find(known, options)
     except (TopicError, CalibrationError) as error:
+        if isinstance(error, CalibrationError):
+            check_sampled(known, error)
         error.topics = describe_topics(contents)
         for file in [file for file in contents.integrity if file.recovered][:2]:
             error.add_remedy(f"{file.path.name} is {file.text}")
