@@ -181,9 +181,9 @@ def test_opening_reads_little_and_each_chunk_is_read_once(tmp_path, monkeypatch,
         read.append(size)
         return plain_read(file, position, size)
 
-    def counted_into(file, position, parts):
-        read.append(sum(map(len, parts)))
-        plain_into(file, position, parts)
+    def counted_into(file, position, memory):
+        read.append(len(memory))
+        plain_into(file, position, memory)
 
     def counted_chunk(file, position):
         chunks.append(position)

@@ -9,9 +9,10 @@ The modules, from files to frames::
     files, splits                   paths -> the files of each log
       formats, container            a file of any format: its index, and chunks of MCAP records by
                                       position
-        mcap_file, chunks             MCAP: mcap_index; if that is damaged, mcap_scan
+        mcap_file, chunks             MCAP: mcap_index walks over the records by their heads; if
+                                        that shows damage, mcap_scan also reads the chunks
         bag                           ROS 1
-        message_file                  single messages: sqlite (ROS 2), image_folder (folders)
+        message_file                  each message is a chunk: sqlite (ROS 2), image_folder
       file_index                    positions of all messages as arrays, in the same form for all
                                       formats; from the file's own index, or rebuilt (walk)
       opening, indexed              messages by topic (records); the first of each topic are decoded

@@ -118,7 +118,7 @@ class BagFile(LogFile):
     def read_index(self) -> FileIndex:
         """Read the index of the bag, see :meth:`LogFile.read_index`."""
         end = _read_end(self)
-        parts = [np.zeros((5, 0), np.int64)]
+        parts = [np.zeros((4, 0), np.int64)]
         for position, after in pairwise([*sorted(end.counts), self.index]):
             parts += _chunk_index(self, position, after, end.counts[position])
         messages = np.concatenate(parts, axis=1)
@@ -170,7 +170,7 @@ class BagFile(LogFile):
         name = record.fields.get(b"compression", b"").decode("ascii", "replace")
         place = record.data - position
         size = record.number(b"size")
-        return ChunkHead(0, 0, size, 0, f"bag {name}", place, record.size, record.size)
+        return ChunkHead(0, 0, size, 0, f"bag {name}", place, record.size)
 
     def chunk(self, position: int) -> memoryview:
         """Return the chunk at ``position``, each message converted to an MCAP record at its offset.
@@ -325,9 +325,9 @@ def _connection(record: BagRecord, about: dict[bytes, bytes]) -> ChannelInfo:
 def _chunk_index(
     file: BagFile, position: int, end: int, counts: dict[int, int]
 ) -> Iterator[np.ndarray]:
-    """Yield the index of a chunk: connection, log time, chunk position, chunk length and offset.
+    """Yield the index of a chunk: connection, log time, chunk position and offset.
 
-    The arrays are ``(5, N)`` int64 for ``N`` messages.
+    The arrays are ``(4, N)`` int64 for ``N`` messages.
 
     Raises:
         DamageError: The index of the chunk is invalid.
@@ -345,11 +345,11 @@ def _chunk_index(
         if record.number(b"ver") != _INDEX_VERSION or len(content) % _ENTRY.itemsize:
             raise DamageError("message index is damaged")
         entries = np.frombuffer(content, _ENTRY)
-        found = np.empty((5, len(entries)), np.int64)
-        found[0], found[2], found[3] = number, position, chunk.size
+        found = np.empty((4, len(entries)), np.int64)
+        found[0], found[2] = number, position
         found[1] = entries["sec"].astype(np.int64) * 1_000_000_000 + entries["nanosec"]
-        found[4] = entries["offset"]
-        if len(entries) and found[4].max() > size - PAYLOAD_OFFSET:
+        found[3] = entries["offset"]
+        if len(entries) and found[3].max() > size - PAYLOAD_OFFSET:
             raise DamageError("message index points beyond its chunk")
         seen[number] += len(entries)
         yield found

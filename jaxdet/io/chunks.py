@@ -51,8 +51,6 @@ class ChunkHead(NamedTuple):
     data_offset: int
     """Offset of the data from the start of the record's content [byte]."""
     data_size: int
-    length: int = 0
-    """Declared length of the record's content [byte]."""
 
     @property
     def is_plain(self) -> bool:
@@ -87,7 +85,7 @@ def read_chunk_head(content: bytes, length: int) -> ChunkHead:
     offset += 8
     if offset + data_size > length:
         raise DamageError("chunk data overrun the chunk")
-    return ChunkHead(start, end, size, crc, name, offset, data_size, length)
+    return ChunkHead(start, end, size, crc, name, offset, data_size)
 
 
 def decompress(head: ChunkHead, data: bytes | memoryview) -> bytes | memoryview:

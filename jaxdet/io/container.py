@@ -8,7 +8,7 @@ import errno
 import os
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,8 +20,6 @@ from jaxdet.io.limits import ReadMemory, check_chunk, check_count, check_index
 
 RECORDINGS = (".mcap", ".db3", ".bag")
 """Suffixes of recordings, by priority among several formats of the same recording."""
-_MAX_PARTS = 512
-"""Maximum number of buffers per system call, below the limit of any system."""
 _PASSING = errno.EIO, errno.ETIMEDOUT
 """Errors of disks and file servers that may be temporary."""
 _WAITS_S = 0.1, 0.5, 2.0
@@ -78,7 +76,7 @@ class LogFile(ABC):
                 self.state = state or FileState.of(os.fstat(self._descriptor))
                 self.size = self.state.size
                 self.check_unchanged()
-                magic = LogFile.read(self, 0, min(self.size, len(self.magic)))
+                magic = self.read(0, min(self.size, len(self.magic)))
             except (OSError, DamageError) as error:
                 text = getattr(error, "strerror", None) or error
                 problem = f"can't be read ({text})"
@@ -169,6 +167,17 @@ class LogFile(ABC):
         found = self.read_index()
         return found._replace(integrity=found.integrity._replace(by_index=False))
 
+    def find_index(self) -> FileIndex:
+        """Return the file's own index, or a rebuilt one if it is missing or wrong.
+
+        Raises:
+            InputError: See :meth:`rebuild_index`.
+        """
+        try:
+            return self.read_index()
+        except DamageError:
+            return self.rebuild_index()
+
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
         """Return the header of the chunk at ``position``, an identifier used in the index.
@@ -186,7 +195,10 @@ class LogFile(ABC):
         """
 
     def chunk_begin(self, position: int, size: int) -> bytes:
-        """Return up to ``size`` bytes of a compressed chunk's records, unchecked; may be empty."""
+        """Return up to ``size`` bytes of a compressed chunk's records, unchecked.
+
+        The result is empty if decompressing the complete chunk takes about as long.
+        """
         return b""
 
     def name_of(self, position: int) -> str:
@@ -209,35 +221,26 @@ class LogFile(ABC):
         if position + size > self.size:
             self.check_unchanged()
             raise DamageError("file ends early")
-        whole = bytearray(size)
-        whole[: len(data)] = data
-        LogFile.read_into(self, position + len(data), [memoryview(whole)[len(data) :]])
-        return bytes(whole)
+        rest = bytearray(size - len(data))
+        self.read_into(position + len(data), memoryview(rest))
+        return data + rest
 
-    def read_into(self, position: int, parts: Sequence[memoryview]) -> None:
-        """Fill writable byte views one after the other with the bytes from ``position`` on.
+    def read_into(self, position: int, memory: memoryview) -> None:
+        """Fill a writable byte view with the bytes from ``position`` on.
 
         Raises:
             DamageError: The file ends earlier, or is unreadable there.
             InputError: The file was changed since it was opened.
         """
-        left = list(parts)
-        while left := [part for part in left if len(part)]:
+        while len(memory):
             try:
-                count = self._call(os.preadv, self._descriptor, left[:_MAX_PARTS], position)
+                count = self._call(os.preadv, self._descriptor, [memory], position)
             except (OSError, OverflowError, ValueError) as error:
                 raise _unreadable(error) from error
             if not count:
                 self.check_unchanged()
                 raise DamageError("file ends early")
-            position += count
-            done = 0
-            while done < len(left) and count >= len(left[done]):
-                count -= len(left[done])
-                done += 1
-            left = left[done:]
-            if count:
-                left[0] = left[0][count:]
+            position, memory = position + count, memory[count:]
 
     def _call(self, function: Callable[..., Any], *args: Any) -> Any:
         """Call a system function; retry after errors that may be temporary.

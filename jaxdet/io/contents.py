@@ -9,7 +9,6 @@ from copy import copy
 import numpy as np
 
 from jaxdet.errors import FrameError
-from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.file_index import FileIntegrity
@@ -183,7 +182,6 @@ class ContentsBuilder:
 
     def __init__(self, contents: LogContents, use_tf: bool, images: bool = True) -> None:
         self.contents, self.use_tf, self.images = contents, use_tf, images
-        self.path, self.bytes = "", 0
         self._motions_seen: dict[str, int] = {}
         self._decoders: dict[ChannelInfo, MessageDecoder | None] = {}
 
@@ -208,11 +206,6 @@ class ContentsBuilder:
             topic.first_ns = min(topic.first_ns, first_ns)
             topic.last_ns = max(topic.last_ns, last_ns)
 
-    def next_file(self, file: LogFile) -> None:
-        """Start the next file; to be called before its messages are added."""
-        self.path = str(file.path)
-        self.bytes += file.size
-
     def take(self, decoder: MessageDecoder, log_ns: int, payload: memoryview) -> None:
         """Add a message of a kind that is used; the pixels of images are not kept."""
         topic = decoder.channel.topic
@@ -232,7 +225,7 @@ class ContentsBuilder:
     def _topic(self, channel: ChannelInfo) -> TopicInfo:
         topics = self.contents.topics
         if channel.topic not in topics:
-            check_topics(len(topics) + 1, self.path)
+            check_topics(len(topics) + 1, self.contents.path)
             topics[channel.topic] = TopicInfo(channel)
         return topics[channel.topic]
 

@@ -108,8 +108,6 @@ class IndexedMessages(NamedTuple):
     """Log time [ns]."""
     position: np.ndarray
     """Position of the chunk in the file, see :class:`Place`."""
-    length: np.ndarray
-    """Length of the chunk's content in the file."""
     offset: np.ndarray
     """Offset of the message's record in the decompressed chunk [byte]."""
     file: np.ndarray
@@ -120,7 +118,7 @@ class IndexedMessages(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence["IndexedMessages"]) -> "IndexedMessages":
         """Concatenate messages."""
-        none = cls(*[np.zeros(0, np.int64)] * 7)
+        none = cls(*[np.zeros(0, np.int64)] * 6)
         return cls(*map(np.concatenate, zip(none, *parts, strict=True)))
 
     def rows(self, which: np.ndarray | slice) -> "IndexedMessages":
@@ -170,7 +168,7 @@ def file_index(
 
     Args:
         infos: Channels of the file.
-        messages: ``(5, N)`` int64, the first five fields of :class:`IndexedMessages`, in any order.
+        messages: ``(4, N)`` int64, the first four fields of :class:`IndexedMessages`, in any order.
             Those of unused channels are counted and dropped.
         integrity: Integrity of the file. Message counts are added if the messages are from the
             file's own index.

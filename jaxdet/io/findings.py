@@ -8,7 +8,6 @@ import numpy as np
 
 from jaxdet.elementary import matmul
 from jaxdet.errors import (
-    CalibrationError,
     JaxdetError,
     RescanError,
     TransformError,
@@ -64,16 +63,12 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
     cameras = find_cameras(contents, options)
     for error in cameras.incomplete.values():
         if isinstance(error, TransformError) or _is_of_first(log, error):
-            _check_sampled(log, error)
+            check_sampled(log, error)
     choice = cameras.chosen(options, contents.path)
     contents = contents.of_camera(choice.depth)
-    try:
-        calibrated = calibrate(contents, choice, options, is_body=is_body)
-    except CalibrationError as error:
-        _check_sampled(log, error)
-        raise
+    calibrated = calibrate(contents, choice, options, is_body=is_body)
     if calibrated.color_error is not None:
-        _check_sampled(log, calibrated.color_error)
+        check_sampled(log, calibrated.color_error)
     frames, warnings = _frames(log, choice, calibrated, options)
     used = choice.color if frames.color else ""
     last = frames.num_frames - 1
@@ -82,11 +77,7 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
     motions = log.motions.of_tree(contents.tree)
     frames = frames._replace(motions=motions, color_offset_ns=of_color.ns)
     share_known = partial(_share_known, frames, is_complete=log.is_complete)
-    try:
-        base, poses = _find(contents, choice, calibrated, options, share_known)
-    except CalibrationError as error:
-        _check_sampled(log, error)
-        raise
+    base, poses = _find(contents, choice, calibrated, options, share_known)
     frames_used = {calibrated.tf_frame, calibrated.color_frame, base.frame or "", poses.world}
     frames_used.add(contents.streams[choice.depth].frame_id(True))
     if not log.motions.whole and contents.tree.sampled_once() & {
@@ -235,7 +226,7 @@ def _find(
     return base, poses._replace(T_frame_camera=T_frame_camera)
 
 
-def _check_sampled(log: IndexedLog, error: JaxdetError) -> None:
+def check_sampled(log: IndexedLog, error: JaxdetError) -> None:
     """Check that unread messages could not change an error.
 
     Raises:

@@ -1,7 +1,6 @@
 """Folders of colour and depth images as logs, in the layouts of :mod:`jaxdet.io.folders`."""
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.folders.basic import RATE_HZ
 from jaxdet.io.folders.layouts import read_recording
 from jaxdet.io.folders.messages import TOPICS, encode_recording
-from jaxdet.io.message_file import POSITION_BITS, MessageFile, MessageRow, indexed_messages
+from jaxdet.io.message_file import MessageFile, MessageRow
 
 
 class ImageFolder(MessageFile):
@@ -49,9 +48,8 @@ class ImageFolder(MessageFile):
 
     def read_index(self) -> FileIndex:
         """Build the index of the messages from the names and sizes of the files."""
-        rows = [self.row(number) for number in range(len(self._messages))]
-        channel, log_ns, size = np.array(rows, np.int64).reshape(-1, 3).T
-        messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
+        rows = [(item.channel, item.log_ns, n, 0) for n, item in enumerate(self._messages)]
+        messages = np.array(rows, np.int64).reshape(-1, 4).T
         return file_index(self.infos, messages, FileIntegrity(self.path, by_index=True))
 
     def close(self) -> None:
@@ -85,44 +83,33 @@ class ImageFolder(MessageFile):
 
     def name_of(self, position: int) -> str:
         """Return the path of an image relative to the folder; empty for other messages."""
-        path = self._messages[position >> POSITION_BITS].path
+        path = self._messages[position].path
         return "" if path is None else os.path.relpath(path, self.path)
 
-    def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
-        """Fill writable byte views one after the other with a message's data from ``start`` on.
-
-        Raises:
-            DamageError: The data end earlier, or can't be read.
-        """
+    def payload(self, number: int, most: int) -> bytes:
+        """Return the first bytes of a message, see :meth:`MessageFile.payload`."""
         message = self._messages[number]
-        for part in parts:
-            left, begin = part, start
-            for source, size in ((message.head, len(message.head)), *message.files):
-                piece = left[: max(0, size - begin)]
-                if len(left) and (len(piece) or not size):
-                    self._read(source, begin, piece)
-                left, begin = left[len(piece) :], max(0, begin - size)
-            if len(left):
-                raise DamageError("message ends early")
-            start += len(part)
+        found = message.head
+        for path, size in message.files:
+            if len(found) < most:
+                found += self._read(path, size)
+        return found[:most]
 
-    def _read(self, source: bytes | Path, start: int, piece: memoryview) -> None:
-        """Fill a byte view with bytes, or the contents of a file, from ``start`` on.
+    def _read(self, path: Path, size: int) -> bytes:
+        """Return the contents of a file that had this size when the folder was opened.
 
         Raises:
             DamageError: The file is missing, ends early, or can't be read.
         """
-        if isinstance(source, bytes):
-            piece[:] = source[start : start + len(piece)]
-            return
-        name = os.path.relpath(source, self.path)
+        name = os.path.relpath(path, self.path)
         try:
-            with source.open("rb", buffering=0) as file:
-                file.seek(start)
-                if not len(piece) or file.readinto(piece) != len(piece):
-                    raise DamageError(f"{name} ends early")
+            with path.open("rb", buffering=0) as file:
+                found = file.read(size)
         except OSError as error:
             raise DamageError(f"{name} can't be read ({error.strerror})") from error
+        if not size or len(found) != size:
+            raise DamageError(f"{name} ends early")
+        return found
 
 
 def _state(folder: Path) -> FileState:

@@ -199,6 +199,16 @@ def metres_to_units(depth_m: np.ndarray, unit_m: float, row: np.ndarray) -> None
     launch("depth_units", np.ascontiguousarray(depth_m, np.float32), unit_m, row)
 
 
+def float_pixels(image: ImageMessage) -> np.ndarray:
+    """Return a view ``(H, W)`` float32 of a 32FC1 image, in the byte order of the image.
+
+    Raises:
+        FrameError: The image has no pixels, or the data don't fit the size.
+    """
+    kind = np.dtype((">" if image.big_endian else "<") + "f4")
+    return _pixels(image, kind, 1, image.width * image.height)[..., 0]
+
+
 def typical_float(image: ImageMessage) -> float:
     """Return the median of the positive values of a 32FC1 image, in the unit of the image.
 
@@ -207,8 +217,7 @@ def typical_float(image: ImageMessage) -> float:
     Raises:
         FrameError: The data don't fit the size.
     """
-    kind = np.dtype((">" if image.big_endian else "<") + "f4")
-    pixels = _pixels(image, kind, 1, image.width * image.height)[::4, ::4]
+    pixels = float_pixels(image)[::4, ::4]
     good = pixels[np.isfinite(pixels) & (pixels > 0)]
     return float(np.median(good)) if len(good) else float("nan")
 

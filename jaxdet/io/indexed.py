@@ -14,11 +14,11 @@ from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import LogFile
 from jaxdet.io.contents import FIRST_MOTIONS, ContentsBuilder, LogContents
 from jaxdet.io.decode_messages import MessageDecoder
-from jaxdet.io.file_index import FileIndex, IndexedMessages, Place
+from jaxdet.io.file_index import FileIndex, IndexedMessages
 from jaxdet.io.limits import check_count, check_topics
 from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
 from jaxdet.io.motion_windows import MotionWindows
-from jaxdet.io.records import TopicMessages, read_message
+from jaxdet.io.records import TopicMessages, read_message, rows_in_file_order
 from jaxdet.io.repeats import drop_repeated
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.streams import NUM_PROBES
@@ -100,9 +100,7 @@ def search_index(file: LogFile, index: FileIndex, builder: ContentsBuilder) -> N
         for topic in _find_topics([file], [index], builder)
         if topic.kind not in _MOTIONS or topic.is_static
     ]
-    probes = [(topic, _probes(topic, False)) for topic in topics]
-    for topic, number in _in_file_order(store, probes):
-        _take(builder, topic, number, read_message(store, topic.messages, number)[1])
+    _read(store, builder, [(topic, _probes(topic, False)) for topic in topics])
 
 
 def _read_first(
@@ -121,15 +119,13 @@ def _read_first(
         RescanError: The first messages show that all messages must be read.
     """
     contents = builder.contents
-    probes = [(topic, _probes(topic, whole)) for topic in topics]
-    for topic, number in _in_file_order(store, probes):
-        _take(builder, topic, number, read_message(store, topic.messages, number)[1])
+    _read(store, builder, [(topic, _probes(topic, whole)) for topic in topics])
+    if not whole and any(tree.ignored for tree in contents.trees.values()):
+        raise RescanError("a transform is invalid", path=contents.path)
+    for topic in topics:
         if contents.topics[topic.topic].undecodable:
             problem = "one of the first messages can't be decoded"
             raise RescanError(problem, path=contents.path, topic=topic.topic)
-        if not whole and any(tree.ignored for tree in contents.trees.values()):
-            raise RescanError("a transform is invalid", path=contents.path, topic=topic.topic)
-    for topic in topics:
         known = contents.calibrations.get(topic.topic)
         more = topic.num_messages > NUM_PROBES
         if known and more and (known.first is None or known.first.K[:1] == (0.0,)):
@@ -160,7 +156,7 @@ def _read_all(
             problem = stream.read(rank) if stream else ""
             if stream is None or builder.is_probe(topic.decoder(number)):
                 problem = ""  # the same problem is found again
-                _take(builder, topic, number, read_message(store, topic.messages, number)[1])
+                _take(store, builder, topic, number)
         except DamageError as error:
             if trusted:
                 raise
@@ -178,17 +174,20 @@ def _in_file_order(
     which = np.repeat(np.arange(len(parts)), [len(numbers) for _, numbers in parts])
     numbers = np.concatenate([np.zeros(0, np.int64), *(numbers for _, numbers in parts)])
     messages = IndexedMessages.joined([topic.messages.rows(rows) for topic, rows in parts])
-    order = np.lexsort((messages.offset, messages.position, messages.file))
-    file, position = messages.file[order], messages.position[order]
-    starts = np.flatnonzero((np.diff(file, prepend=-1) != 0) | (np.diff(position, prepend=-1) != 0))
-    ends = np.append(starts, len(order))[1:].tolist()
-    places = (Place(int(file[row]), int(position[row])) for row in starts.tolist())
-    for _, start, end in zip(store.loaded(places), starts.tolist(), ends, strict=True):
-        for row in order[start:end].tolist():
-            yield parts[int(which[row])][0], int(numbers[row])
+    for row in rows_in_file_order(store, messages):
+        yield parts[int(which[row])][0], int(numbers[row])
 
 
-def _take(builder: ContentsBuilder, topic: TopicMessages, number: int, payload: memoryview) -> None:
+def _read(
+    store: ChunkStore, builder: ContentsBuilder, parts: Sequence[tuple[TopicMessages, np.ndarray]]
+) -> None:
+    """Read messages, given by topics and message numbers, in file order."""
+    for topic, number in _in_file_order(store, parts):
+        _take(store, builder, topic, number)
+
+
+def _take(store: ChunkStore, builder: ContentsBuilder, topic: TopicMessages, number: int) -> None:
+    _, payload = read_message(store, topic.messages, number)
     builder.take(topic.decoder(number), int(topic.messages.log_ns[number]), payload)
 
 
@@ -197,9 +196,9 @@ def _find_topics(
 ) -> list[TopicMessages]:
     """Return the topics with useful messages; other topics are only recorded and counted."""
     found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
+    path, nbytes = builder.contents.path, sum(file.size for file in files)
     for number, (file, entries) in enumerate(zip(files, indexes, strict=True)):
-        builder.next_file(file)
-        check_topics(len(entries.infos), builder.path)
+        check_topics(len(entries.infos), path)
         if builder.images:
             builder.contents.integrity.append(entries.integrity._replace(path=file.named))
         for key, count in sorted(entries.counts.items(), key=lambda item: item[1].first_ns):
@@ -225,8 +224,8 @@ def _find_topics(
     for topic in topics:
         small += topic.num_messages * (topic.kind not in IMAGE_KINDS)
         if topic.kind in IMAGE_KINDS:
-            check_count("images", topic.num_messages, builder.bytes, builder.path, topic.topic)
-        check_count("small messages", small, builder.bytes, builder.path, topic.topic)
+            check_count("images", topic.num_messages, nbytes, path, topic.topic)
+        check_count("small messages", small, nbytes, path, topic.topic)
     return topics
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from operator import index as as_index
-from typing import Any, NamedTuple, Self, overload
+from typing import Any, Self, overload
 
 import numpy as np
 
@@ -302,7 +302,7 @@ class Log:
         for first in range(0, len(numbers), batch_size):
             if together and first % together == 0:
                 some = numbers[first : first + together]
-                known = _Known(some[0], self._window(some[0], some[-1] + 1))
+                known = some[0], self._window(some[0], some[-1] + 1)
             memory = images() if images else None
             some = numbers[first : first + batch_size]
             yield self._batch(some, batch_size, color, need_color, memory, known)
@@ -360,8 +360,9 @@ class Log:
         color: WhichColor,
         need_color: bool,
         memory: np.ndarray | tuple[np.ndarray, np.ndarray | None] | None = None,
-        known: "_Known | None" = None,
+        known: tuple[int, Window] | None = None,
     ) -> Batch:
+        """Read frames; ``known`` is the window of the frames from a number on, if it was read."""
         count = len(indices)
         wanted = np.array([color if isinstance(color, bool) else n in color for n in indices], bool)
         depths, colors = memory if isinstance(memory, tuple) else (memory, None)
@@ -374,7 +375,11 @@ class Log:
                 images[count:] = 0  # all other rows are written, or zeroed if decoding fails
         windows, failures = [], Failures([], [])
         for row, start, stop in _runs(indices, self._at_once):
-            window = known.window(start, stop) if known else self._window(start, stop)
+            if known:
+                first, whole = known
+                window = whole.part(start - first, stop - first)
+            else:
+                window = self._window(start, stop)
             rows = slice(row, row + stop - start)
             part = None if colors is None else colors[rows]
             with self._by_index():
@@ -443,17 +448,6 @@ class Log:
             color_frame=self.color_frame,
             nearest_color_ns=colors,
         )
-
-
-class _Known(NamedTuple):
-    """Consecutive frames whose messages were looked up."""
-
-    first: int
-    whole: Window
-
-    def window(self, start: int, stop: int) -> Window:
-        """Return the window of the frames from ``start`` to ``stop``."""
-        return self.whole.part(start - self.first, stop - self.first)
 
 
 def _which_color(color: WhichColor) -> WhichColor:

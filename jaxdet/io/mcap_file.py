@@ -21,6 +21,8 @@ from jaxdet.io.mcap_scan import rebuild_mcap_index
 
 _BEGIN_BYTES = 192 << 10
 """Number of bytes of a compressed chunk that contain its first zstd block."""
+_LARGE_BYTES = 1 << 18
+"""Size from which on decompressing only the begin of a chunk saves time [byte]."""
 _PACKED_BYTES = 16 << 20
 """Maximum size of a compressed chunk that is read into its thread's buffer."""
 _of_thread = local()
@@ -54,7 +56,7 @@ class McapFile(LogFile):
         opcode, length = RECORD_HEAD.unpack_from(known)
         if opcode == Opcode.MESSAGE and length <= self.size - position:
             size = RECORD_HEAD.size + length
-            return ChunkHead(0, 0, size, 0, "", -RECORD_HEAD.size, size, length)
+            return ChunkHead(0, 0, size, 0, "", -RECORD_HEAD.size, size)
         if opcode != Opcode.CHUNK:
             raise DamageError("no chunk at the expected position")
         return read_chunk_head(known[RECORD_HEAD.size :][:length], length)
@@ -62,6 +64,8 @@ class McapFile(LogFile):
     def chunk_begin(self, position: int, size: int) -> bytes:
         """Return the first records of a chunk, see :meth:`LogFile.chunk_begin`."""
         head = self.chunk_head(position)
+        if head.uncompressed_size < _LARGE_BYTES:
+            return b""
         data = self.read(position + head.data_offset, min(head.data_size, _BEGIN_BYTES))
         return decompress_begin(head, data, size)
 
@@ -77,7 +81,7 @@ class McapFile(LogFile):
         if head.is_plain:
             return decompress(head, self.read(start, head.data_size))
         data = _packed_memory(head.data_size)
-        self.read_into(start, [data])
+        self.read_into(start, data)
         return decompress(head, data)
 
 

@@ -34,6 +34,9 @@ from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS
 
 TORN = 0
 """Opcode for parts of the file that are not records."""
+_KNOWN, _LAST = {*Opcode}, {Opcode.DATA_END, Opcode.FOOTER}
+"""Record types of the specification, and those that end the data. Opcodes of 128 and more are
+reserved for applications."""
 _FOOTER = struct.Struct("<BQQQI")
 INDEX_HEAD = struct.Struct("<HI")
 """Channel and size of the entries of a message index."""
@@ -41,7 +44,9 @@ INDEX_ENTRY_BYTES = 16
 """Size of an entry: log time and offset in the chunk."""
 _ODD_BYTES = 64
 """Size below which records of unknown types count as odd, see ``MAX_ODD_RECORDS``."""
-_AHEAD_BYTES = 512
+_UNCHECKED_BYTES = 1 << 20
+"""Size of message indexes after which their number is checked again."""
+_AHEAD_BYTES = 384
 """Minimum size of a read: usually message indexes, and the head of the next chunk."""
 
 
@@ -120,10 +125,10 @@ class FileRecords:
                 opcode, length = TORN, 0
             position = content + length
             odd += length == 0 or (opcode >= 0x80 and length < _ODD_BYTES)
-            is_known = 0 < opcode <= Opcode.DATA_END or opcode >= 0x80
+            is_known = opcode in _KNOWN or opcode >= 0x80
             if is_known and position <= self._file.size and odd <= MAX_ODD_RECORDS:
                 yield FileRecord(opcode, content, length)
-                if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                if opcode in _LAST:
                     return
                 continue
             after = bisect_right(restarts, start)
@@ -197,8 +202,6 @@ class _Chunk(NamedTuple):
 
     position: int
     """Position of the record's content [byte]."""
-    length: int
-    """Length of the record's content [byte]."""
     size: int
     """Size of the decompressed records [byte]."""
     start_ns: int
@@ -215,24 +218,26 @@ def read_mcap_index(file: LogFile) -> FileIndex:
     summary = read_summary(file)
     if not summary.crc_is_right:
         raise DamageError("summary has a wrong CRC")
-    records, chunks, size = FileRecords(file), list[_Chunk](), 0
+    records, chunks, size, checked_size = FileRecords(file), list[_Chunk](), 0, 0
     owners, indexes = list[int](), list[bytes]()
     for opcode, position, length in records.walk():
-        if opcode in (TORN, Opcode.MESSAGE):
-            raise DamageError("a record is damaged, or a message is outside of chunks")
-        if opcode == Opcode.CHUNK:
+        if opcode == Opcode.MESSAGE_INDEX:
+            file.check_size(length, "message index")
+            owners.append(len(chunks) - 1)
+            indexes.append(records.read(position, length))
+            size += length
+            if size > checked_size + _UNCHECKED_BYTES:
+                file.check_messages(size // INDEX_ENTRY_BYTES)
+                checked_size = size
+        elif opcode == Opcode.CHUNK:
             head = read_chunk_head(records.read(position, min(length, HEAD_BYTES)), length)
             file.check_size(head.uncompressed_size)
             if not head.start_ns <= head.end_ns <= MAX_TIME_NS:
                 raise DamageError("chunk ends before it begins")
             about = head.uncompressed_size, head.start_ns, head.end_ns, head.crc != 0
-            chunks.append(_Chunk(position, length, *about))
-            file.check_messages(size // INDEX_ENTRY_BYTES)
-        elif opcode == Opcode.MESSAGE_INDEX:
-            file.check_size(length, "message index")
-            owners.append(len(chunks) - 1)
-            indexes.append(records.read(position, length))
-            size += length
+            chunks.append(_Chunk(position, *about))
+        elif opcode in (TORN, Opcode.MESSAGE):
+            raise DamageError("a record is damaged, or a message is outside of chunks")
     file.check_messages(size // INDEX_ENTRY_BYTES)
     messages = _indexed_messages(chunks, np.array(owners, np.int64), indexes)
     crcs = sum(chunk.has_crc for chunk in chunks)
@@ -267,10 +272,10 @@ def _indexed_messages(
     count, channel = size // INDEX_ENTRY_BYTES, head["f0"].astype(np.int64)
     log_ns, offset = values.astype(np.int64).reshape(-1, 2).T
     columns = np.array(chunks, np.int64).reshape(-1, len(_Chunk._fields)).T
-    position, length, most, start, end, _ = columns[:, np.repeat(owners, count)]
+    position, most, start, end, _ = columns[:, np.repeat(owners, count)]
     if not ((log_ns >= start) & (log_ns <= end) & (offset <= most - PAYLOAD_OFFSET)).all():
         raise DamageError("message index points beyond its chunk")
-    return np.stack([np.repeat(channel, count), log_ns, position, length, offset])
+    return np.stack([np.repeat(channel, count), log_ns, position, offset])
 
 
 def _check_counts(statistics: Statistics | None, num_chunks: int, found: FileIndex) -> None:

@@ -107,7 +107,7 @@ class _Scan:
         elif opcode in (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA):
             self.file.check_memory(length, "record")
             content = memoryview(self.file.read(position, length))
-            self._content(opcode, content, position, length, 0)
+            self._content(opcode, content, position, 0)
         elif opcode in (Opcode.DATA_END, Opcode.FOOTER):
             self._end(position + length)
 
@@ -157,13 +157,11 @@ class _Scan:
         for opcode, offset, size in chunk_records(chunk):
             try:
                 content, start = view[offset : offset + size], offset - RECORD_HEAD.size
-                self._content(opcode, content, place.position, head.length, start)
+                self._content(opcode, content, place.position, start)
             except DamageError as error:
                 self.walk.lose(str(error), size)
 
-    def _content(
-        self, opcode: int, content: memoryview, position: int, length: int, offset: int
-    ) -> None:
+    def _content(self, opcode: int, content: memoryview, position: int, offset: int) -> None:
         """Process the record at an offset in the records of a chunk."""
         if opcode == Opcode.SCHEMA:
             self.declared.add_schema(content)
@@ -176,7 +174,7 @@ class _Scan:
         channel_id, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
         if self._info(channel_id) is None:
             raise DamageError("message of an undeclared channel")
-        self.walk.add(channel_id, min(log_ns, MAX_TIME_NS), position, length, offset)
+        self.walk.add(channel_id, min(log_ns, MAX_TIME_NS), position, offset)
 
     def _info(self, channel_id: int) -> ChannelInfo | None:
         """Return a channel as declared before its first message, or in the summary."""

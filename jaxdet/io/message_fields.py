@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxdet.elementary import matmul
-from jaxdet.io.images import check_pixels
+from jaxdet.io.images import float_pixels
 from jaxdet.io.limits import MAX_TRANSLATION_M
 from jaxdet.io.messages import (
     CameraInfoMessage,
@@ -103,12 +103,8 @@ def _disparity(message: Any, name: str) -> ImageMessage:
     image = _image(message.image, name)
     if image.encoding.upper() != "32FC1":
         raise ValueError(f"expected a disparity image with encoding 32FC1, got {image.encoding!a}")
-    check_pixels(image)
     baseline = float(message.t if hasattr(message, "t") else message.T)
-    kind = np.dtype(">f4" if image.big_endian else "<f4")
-    step = image.step or 4 * image.width
-    shape, strides = (image.height, image.width), (step, 4)
-    found = np.ndarray(shape, kind, image.data, strides=strides).astype(np.float32)
+    found = float_pixels(image).astype(np.float32)
     least = max(float(message.min_disparity), 0.0)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         depth = np.float32(float(message.f) * abs(baseline)) / found

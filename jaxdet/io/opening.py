@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from os import PathLike
-from pathlib import Path
 
 from jaxdet.arguments import of_type
 from jaxdet.errors import (
@@ -21,7 +20,7 @@ from jaxdet.io.contents import ContentsBuilder, LogContents
 from jaxdet.io.description import describe_topics
 from jaxdet.io.file_index import FileIndex
 from jaxdet.io.files import LogFiles, find_logs, missing_splits, siblings
-from jaxdet.io.findings import find
+from jaxdet.io.findings import check_sampled, find
 from jaxdet.io.formats import open_file
 from jaxdet.io.indexed import IndexedLog, open_index, search_index
 from jaxdet.io.limits import ReadMemory
@@ -85,6 +84,7 @@ def _opened(
 
     Raises:
         JaxdetError: See :func:`open_log`; the error lists damaged files and topics.
+        RescanError: The first messages show that all messages must be read.
     """
     contents, store = known.contents, known.store
     contents.warnings += left_out
@@ -92,6 +92,8 @@ def _opened(
     try:
         found = find(known, options)
     except (TopicError, CalibrationError) as error:
+        if isinstance(error, CalibrationError):
+            check_sampled(known, error)
         error.topics = describe_topics(contents)
         for file in [file for file in contents.integrity if file.recovered][:2]:
             error.add_remedy(f"{file.path.name} is {file.text}")
@@ -127,19 +129,13 @@ def open_files(
     failures: list[InputError] = []
     for path in log.paths:
         try:
-            files.append(_open(path, options, memory))
+            files.append(open_file(path, options.max_chunk_mib << 20, memory))
         except InputError as error:
             failures.append(error)
     if not files:
         raise failures[0]
     warnings = [f"{error}; the file is left out" for error in failures]
     return files, warnings + [file.note for file in files if file.note]
-
-
-def _open(path: Path, options: LogOptions, memory: ReadMemory) -> LogFile:
-    file = open_file(path, options.max_chunk_mib << 20)
-    file.memory = memory
-    return file
 
 
 def _find_contents(
@@ -177,12 +173,9 @@ def _search_siblings(
     """Read static transforms and calibration from the other splits of the recording, in order."""
     for path in siblings(log):
         try:
-            with closing(_open(path, options, memory)) as file:
+            with closing(open_file(path, options.max_chunk_mib << 20, memory)) as file:
                 builder = ContentsBuilder(contents, options.tf, images=False)
-                try:
-                    search_index(file, file.read_index(), builder)
-                except DamageError:
-                    search_index(file, file.rebuild_index(), builder)
+                search_index(file, file.find_index(), builder)
         except ChunkMemoryError:
             raise  # otherwise the result would depend on the available memory
         except (InputError, DamageError) as error:

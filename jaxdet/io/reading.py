@@ -216,7 +216,7 @@ class ImageReader:
                     payload = file.read(start + item.offset, item.size)
                     payloads.append(memoryview(payload))
                 else:
-                    file.read_into(start + span.start, [span.row])
+                    file.read_into(start + span.start, span.row)
                     payloads.append(None)
             return payloads
         checked = _CheckedRead(file, start)
@@ -311,7 +311,7 @@ class _CheckedRead:
         """Fill memory with the next records; the CRC is computed while they are in the cache."""
         for begin in range(0, len(memory), PIECE_BYTES):
             piece = memory[begin : begin + PIECE_BYTES]
-            self._file.read_into(self._start + self._done, [piece])
+            self._file.read_into(self._start + self._done, piece)
             self._done += len(piece)
             self.crc = deflate.crc32(piece, self.crc)
 

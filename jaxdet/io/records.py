@@ -1,5 +1,6 @@
 """Reading of messages by the index, with a check of each against the index."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,18 @@ class TopicMessages(NamedTuple):
         return self._replace(messages=self.messages.rows(order))
 
 
+def rows_in_file_order(store: ChunkStore, messages: IndexedMessages) -> Iterator[int]:
+    """Yield the index of each message in file order, with its chunk loaded."""
+    order = np.lexsort((messages.offset, messages.position, messages.file))
+    file, position = messages.file[order], messages.position[order]
+    is_first = (np.diff(file, prepend=-1) != 0) | (np.diff(position, prepend=-1) != 0)
+    starts = np.flatnonzero(is_first)
+    ends = np.append(starts, len(order))[1:].tolist()
+    places = messages.places(order[starts])
+    for _, start, end in zip(store.loaded(places), starts.tolist(), ends, strict=True):
+        yield from order[start:end].tolist()
+
+
 def read_message(
     store: ChunkStore,
     messages: IndexedMessages,
@@ -78,10 +91,7 @@ def read_message(
     if opcode != Opcode.MESSAGE or (channel, min(log_ns, MAX_TIME_NS)) != expected:
         raise DamageError("no message at the position in the index")
     size = length - MESSAGE_HEAD.size
-    head = store.head(place)
-    if head.length != messages.length[number]:
-        raise DamageError("the length of the chunk differs from the index")
-    if size < 0 or offset + PAYLOAD_OFFSET + size > head.uncompressed_size:
+    if size < 0 or offset + PAYLOAD_OFFSET + size > store.head(place).uncompressed_size:
         raise DamageError("message is longer than its chunk")
     wanted = size if most is None else min(size, most)
     if wanted > len(known) - PAYLOAD_OFFSET:

@@ -50,24 +50,12 @@ class Signature(NamedTuple):
     """Mean interval of the images on the slowest topic [ns]; 0 if there are too few."""
 
 
-def signature(path: Path, *, scan: bool = False) -> Signature | None:
-    """Return the signature of a file from its index; None if the index can't be read.
-
-    Args:
-        path: File.
-        scan: Whether to scan a file whose index can't be read, for example the last split of a
-            recorder that was not stopped.
-    """
-    with suppress(InputError, DamageError), closing(_open(path)) as file:
-        try:
-            return _signature_of(file, file.read_index())
-        except DamageError:
-            return _signature_of(file, file.rebuild_index()) if scan else None
+def signature(path: Path) -> Signature | None:
+    """Return the signature of a file from its index; None if the file can't be read."""
+    most = LogOptions.max_chunk_mib << 20
+    with suppress(InputError, DamageError), closing(open_file(path, most)) as file:
+        return _signature_of(file, file.find_index())
     return None
-
-
-def _open(path: Path) -> LogFile:
-    return open_file(path, LogOptions.max_chunk_mib << 20)
 
 
 def _signature_of(file: LogFile, entries: FileIndex) -> Signature:
@@ -151,7 +139,7 @@ def recordings(files: Sequence[tuple[int, Path]]) -> list[Recording]:
     notes: list[list[str]] = []
     before: tuple[int, Signature | None] = (0, None)
     for number, path in files:
-        now = signature(path, scan=True)
+        now = signature(path)
         why = _why_apart(*before, number, now) if found else ""
         if why or not found:
             found.append([])
@@ -183,11 +171,11 @@ def recording_around(files: Sequence[tuple[int, Path]], place: int) -> list[Path
     names = listed_files(path.parent)
     if path.name in names:
         return [path for _, path in files if path.name in names]
-    found, own = [path], signature(path, scan=True)
+    found, own = [path], signature(path)
     for is_later, others in ((False, files[:place][::-1]), (True, files[place + 1 :])):
         near, known = number, own
         for other, path in others:
-            there = signature(path, scan=True)
+            there = signature(path)
             pair = (near, known, other, there) if is_later else (other, there, near, known)
             if _why_apart(*pair):
                 break

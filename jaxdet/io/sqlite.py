@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 from jaxdet.errors import InputError
-from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
-from jaxdet.io.container import FileState, LogFile
+from jaxdet.io.chunks import DamageError
+from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
-from jaxdet.io.message_file import MessageFile, MessageRow, indexed_messages, position_of
+from jaxdet.io.message_file import MessageFile, MessageRow
 from jaxdet.io.messages import kind_of
 from jaxdet.io.walk import Walk
 
@@ -48,7 +48,7 @@ _DAMAGED = "page is damaged"
 _MAX_LOST = 100_000
 """Maximum number of ids that are tried one by one if pages are damaged; this takes a few seconds.
 """
-_INDEX = "SELECT id, topic_id, timestamp, length(data) FROM messages ORDER BY id"
+_INDEX = "SELECT id, topic_id, timestamp FROM messages ORDER BY id"
 _DATA = """SELECT id, topic_id, timestamp,
 CASE WHEN length(data) <= :most THEN data END, length(data)
 FROM messages WHERE id > :before ORDER BY id LIMIT :count"""
@@ -91,23 +91,23 @@ class SqliteFile(MessageFile):
         if self.declared_bytes > self.size:
             raise DamageError("file ends early")
         infos = _channels(self)
-        rows, parts = self.query(_INDEX), [np.zeros((4, 0), np.int64)]
+        rows, parts = self.query(_INDEX), [np.zeros((3, 0), np.int64)]
         try:
             while some := list(islice(rows, _ROWS_AT_ONCE)):
                 parts.append(np.array(some, np.int64).T)
         except (OverflowError, TypeError, ValueError) as error:
             raise _damage(error) from error
-        number, channel, log_ns, size = np.concatenate(parts, axis=1)
+        number, channel, log_ns = np.concatenate(parts, axis=1)
         self.check_messages(len(number))
         for value in (channel.min(initial=0), channel.max(initial=0)):
             MessageRow(int(value), int(log_ns.min(initial=0)), 0).check()
         if (np.diff(number) <= 0).any():
             raise DamageError("numbers of messages are out of order")
-        for value in (number.min(initial=0), number.max(initial=0)):
-            position_of(int(value))
+        if number.min(initial=0) < 0:
+            raise DamageError("number of a message is out of range")
         if _declared(self) not in (None, len(number)):
             raise DamageError("index of times contradicts the messages")
-        messages = indexed_messages(number, channel, log_ns, size)
+        messages = np.stack([channel, log_ns, number, np.zeros_like(number)])
         return file_index(infos, messages, FileIntegrity(self.path, by_index=True))
 
     def rebuild_index(self) -> FileIndex:
@@ -128,7 +128,6 @@ class SqliteFile(MessageFile):
         for number, channel, log_ns, data, size in _rows(self, walk.lost):
             try:
                 MessageRow(channel, log_ns, size).check()
-                position = position_of(number)
                 if channel not in infos:
                     raise DamageError("message of an undeclared topic")
                 if not isinstance(data, bytes):
@@ -137,7 +136,7 @@ class SqliteFile(MessageFile):
             except DamageError as error:
                 walk.lose(str(error), size or 0)
                 continue
-            walk.add(channel, log_ns, position, len(data) + PAYLOAD_OFFSET, 0)
+            walk.add(channel, log_ns, number, 0)
         return walk.index(
             infos,
             declared_messages=_declared(self),
@@ -166,27 +165,18 @@ class SqliteFile(MessageFile):
         except (sqlite3.Error, OverflowError) as error:
             raise _damage(error) from error
 
-    def read_payload(self, number: int, start: int, parts: Sequence[memoryview]) -> None:
-        """Fill writable byte views one after the other with a message's data from ``start`` on.
-
-        Raises:
-            DamageError: The data end earlier, or can't be read.
-        """
+    def payload(self, number: int, most: int) -> bytes:
+        """Return the first bytes of a message's data, see :meth:`MessageFile.payload`."""
         try:
             with self._connection().blobopen("messages", "data", number, readonly=True) as blob:
-                blob.seek(start)
-                for part in parts:
-                    data = blob.read(len(part))
-                    if len(data) != len(part):
-                        raise DamageError("message ends early")
-                    part[:] = data
+                return blob.read(most)
         except (sqlite3.Error, OverflowError, ValueError) as error:
             raise _damage(error) from error
 
     @property
     def declared_bytes(self) -> int:
         """Size of the file according to its header [byte]."""
-        page, pages = LogFile.read(self, 16, 2), LogFile.read(self, 28, 4)
+        page, pages = self.read(16, 2), self.read(28, 4)
         size = int.from_bytes(page, "big")
         return int.from_bytes(pages, "big") * (65536 if size == 1 else size)
 

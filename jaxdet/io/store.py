@@ -19,8 +19,7 @@ R = TypeVar("R")
 CACHE_BYTES = 64 << 20
 """Size of the cache of decompressed chunks [byte]; a single larger chunk is kept as well."""
 BEGIN_BYTES = 4096
-"""Size of the beginning of a large compressed chunk that can be read separately [byte]."""
-LARGE_BYTES = 1 << 18
+"""Size of the beginning of a compressed chunk that may be read separately [byte]."""
 _MAX_HEADS = 4096
 
 
@@ -206,8 +205,7 @@ class ChunkStore:
         """
         head = self.head(place)
         if not head.is_plain:
-            near = head.uncompressed_size >= LARGE_BYTES and offset + size <= BEGIN_BYTES
-            if not whole and near and place not in self._chunks:
+            if not whole and offset + size <= BEGIN_BYTES and place not in self._chunks:
                 known = self.files[place.file].chunk_begin(place.position, offset + size)
                 if len(known) == offset + size:
                     return memoryview(known)[offset:]

@@ -94,8 +94,6 @@ class CalibrationWindows:
         self._store, self._path = store, path
         self._good: set[tuple[str, bytes]] = set()
         """Topics and contents, without timestamps, of messages that were compared."""
-        self._last: dict[str, int] = {}
-        """Last compared message of each topic."""
 
     def other(self, stamps_ns: np.ndarray) -> np.ndarray | None:
         """Return which frames have another calibration; None if the changes are unknown."""
@@ -128,11 +126,8 @@ class CalibrationWindows:
             chunks |= topic.messages.chunks(own)
             if self._changes is not None:
                 continue
-            start, stop = own.start, own.stop
-            known = self._last.get(topic.topic) == start - 1
-            for number in range(start if known else max(0, start - 1), stop):
+            for number in range(max(0, own.start - 1), own.stop):
                 self._compare(topic, number)
-            self._last[topic.topic] = stop - 1
         return chunks
 
     def _compare(self, topic: TopicMessages, number: int) -> None:

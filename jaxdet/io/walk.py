@@ -29,16 +29,16 @@ class Walk:
         self._lost_bytes = self._last_ns = 0
         self.read: Counter[int] = Counter()
         """Number of messages by channel."""
-        self._messages = tuple(array("q") for _ in range(5))
+        self._messages = tuple(array("q") for _ in range(4))
 
-    def add(self, channel: int, log_ns: int, position: int, length: int, offset: int) -> None:
+    def add(self, channel: int, log_ns: int, position: int, offset: int) -> None:
         """Add a message, see :class:`jaxdet.io.file_index.IndexedMessages`.
 
         Raises:
             InputError: The file has an impossible number of messages.
         """
         self.read[channel] += 1
-        values = channel, log_ns, position, length, offset
+        values = channel, log_ns, position, offset
         for column, value in zip(self._messages, values, strict=True):
             column.append(value)
         self._file.check_messages(len(self._messages[0]))
@@ -68,6 +68,6 @@ class Walk:
             last_log_time_ns=self._last_ns,
             **more,
         )
-        messages = np.array(self._messages, np.int64).reshape(5, -1)
+        messages = np.array(self._messages, np.int64).reshape(4, -1)
         used = {number: infos[number] for number in self.read}
         return file_index(used, messages, integrity)

@@ -18,7 +18,6 @@ decoded.
 """
 
 from copy import copy
-from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +30,7 @@ from jaxdet.io.messages import Kind
 from jaxdet.io.motion_windows import MotionWindows
 from jaxdet.io.notes import Notes, StreamNotes
 from jaxdet.io.poses import PoseSource
-from jaxdet.io.records import TopicMessages, read_message
+from jaxdet.io.records import TopicMessages, read_message, rows_in_file_order
 from jaxdet.io.store import BEGIN_BYTES, ChunkStore
 from jaxdet.io.timeline import FrameTable, Window, apart, nearest
 from jaxdet.io.validity import CalibrationWindows
@@ -222,16 +221,8 @@ class StreamWindows:
             for number in missing[near].tolist():
                 self._look(number)
             missing = missing[~near]
-        places = self.messages.places(missing)
-        parts = {
-            place: [number for _, number in group]
-            for place, group in groupby(
-                sorted(zip(places, missing.tolist(), strict=True)), lambda item: item[0]
-            )
-        }
-        for place in self.store.loaded(parts):
-            for number in parts[place]:
-                self._look(number)
+        for row in rows_in_file_order(self.store, self.messages.rows(missing)):
+            self._look(int(missing[row]))
 
     def _look(self, number: int) -> None:
         self._undecodable[number] = bool(self.read(number))
