@@ -18,7 +18,7 @@ from jaxdet.engine.shared_slots import (
 )
 from jaxdet.engine.startup import computing
 from jaxdet.pipeline import BackendName, detect
-from jaxdet.results.rows import RowInputs, row_inputs, to_host
+from jaxdet.results.rows import row_inputs, to_host
 from jaxdet.types import Detections, GroundPlane
 
 if TYPE_CHECKING:
@@ -32,8 +32,9 @@ ImageMemory = Callable[[], np.ndarray | tuple[np.ndarray, np.ndarray]]
 class Found(NamedTuple):
     """Detections of a batch, on the host."""
 
-    inputs: RowInputs
-    """Part of the detections from which rows are made."""
+    inputs: Detections
+    """Part of the detections from which rows are made, see
+    :func:`jaxdet.results.rows.row_inputs`."""
     busy_s: Mapping[str, float] = MappingProxyType({})
     """Time that other processes spent on the batch, by step, as in
     :attr:`jaxdet.results.summary.Counts.busy_s`."""

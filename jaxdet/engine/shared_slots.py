@@ -16,8 +16,8 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.errors import WorkerError
-from jaxdet.results.rows import RowInputs, map_leaves
-from jaxdet.types import Calibration, GroundPlane
+from jaxdet.results.rows import map_leaves
+from jaxdet.types import Calibration, Detections, GroundPlane
 
 SLOTS = 4
 """Number of slots of each worker: it decodes into one slot while the other three are copied,
@@ -28,7 +28,7 @@ _numbers = itertools.count(1)
 
 @dataclass(frozen=True)
 class Leaf:
-    """An array of :class:`jaxdet.results.rows.RowInputs` in a row of results."""
+    """An array of :func:`jaxdet.results.rows.row_inputs` in a row of results."""
 
     shape: tuple[int, ...]
     """Shape of a frame's part."""
@@ -66,7 +66,7 @@ class Slots(NamedTuple):
     number: int = 0
     """Number that identifies the memory, as a path is used again after memory is freed."""
     results: Any = None
-    """:class:`jaxdet.results.rows.RowInputs` of :class:`Leaf`; None until the memory exists."""
+    """:class:`jaxdet.types.Detections` of :class:`Leaf`; None until the memory exists."""
 
     @property
     def ints(self) -> int:
@@ -100,7 +100,7 @@ class Slots(NamedTuple):
             found.append(SlotArrays(depth, color, results))
         return found
 
-    def unpacked(self, rows: np.ndarray) -> RowInputs:
+    def unpacked(self, rows: np.ndarray) -> Detections:
         """Return the arrays in results ``(B, ints)``; only boolean ones are copied."""
         start = 0
 

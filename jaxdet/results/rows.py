@@ -24,7 +24,6 @@ from jaxdet.results.metric import (
     to_world,
 )
 from jaxdet.types import (
-    Array,
     Calibration,
     Detections,
     Frames,
@@ -38,21 +37,6 @@ if TYPE_CHECKING:
     from jaxdet.io import Batch
 
 _REFUSALS = np.array([reason.name.lower() for reason in Refusal], object)
-
-
-class RowInputs(NamedTuple):
-    """Part of the detections of a batch that rows are made of, NumPy or JAX arrays."""
-
-    num_obstacles: Array
-    """Number of obstacles, ``(B,)`` int32."""
-    overflow: Array
-    """Whether obstacles may be missing, ``(B,)`` bool."""
-    has_depth: Array
-    """Whether any depth is in range, ``(B,)`` bool."""
-    obstacles: Obstacles
-    """M slots, at least the largest of ``num_obstacles``."""
-    scene: Scene | None
-    """Scene without its prior, which stays on the host; None for clusters of points."""
 
 
 class Rows(NamedTuple):
@@ -70,25 +54,19 @@ class Rows(NamedTuple):
     """Free floor of each frame in the world; None without poses."""
 
 
-def row_inputs(found: Detections) -> RowInputs:
-    """Return the part of detections that :func:`batch_rows` needs, without points and cells.
+def row_inputs(found: Detections) -> Detections:
+    """Return the part of detections that :func:`batch_rows` needs: no points, cells and prior.
 
     It can be compiled by ``jax.jit``.
 
     Args:
         found: NumPy or JAX arrays.
     """
-    scene = found.scene
-    return RowInputs(
-        found.num_obstacles,
-        found.overflow,
-        found.has_depth,
-        found.obstacles,
-        scene and scene._replace(prior=None),
-    )
+    scene = found.scene and found.scene._replace(prior=None)
+    return found._replace(scene=scene, cells=None, points=None)
 
 
-def no_inputs(count: int) -> RowInputs:
+def no_inputs(count: int) -> Detections:
     """Return inputs of ``count`` frames without detections."""
     numbers, no = np.zeros(count, np.int32), np.zeros(count, bool)
     shapes = {"uv_min": 2, "uv_max": 2, "xyz_min": 3, "xyz_max": 3, "a": 2, "b": 2, "c": 2}
@@ -100,15 +78,15 @@ def no_inputs(count: int) -> RowInputs:
         has_vertex=np.zeros((count, 0), bool),
         **slots,
     )
-    return RowInputs(numbers, no, no, none, None)
+    return Detections(numbers, no, no, none)
 
 
-def used_slots(inputs: RowInputs, count: int) -> RowInputs:
+def used_slots(inputs: Detections, count: int) -> Detections:
     """Return a copy of the first ``count`` frames, with as many slots as any of them uses.
 
     Most slots are empty: of 240 KB per frame, about 20 are used.
     """
-    found: RowInputs = _first(inputs, count)
+    found: Detections = _first(inputs, count)
     slots = int(found.num_obstacles.max(initial=0))
 
     def few(part: np.ndarray) -> np.ndarray:
@@ -160,7 +138,7 @@ def batch_rows(
     batch: "Batch",
     plane: GroundPlane,
     sources: Sequence[str],
-    inputs: RowInputs,
+    inputs: Detections,
     config: Config,
 ) -> Rows:
     """Return the rows of a batch, in the order of the frames.
@@ -250,7 +228,7 @@ def _first(part: Any, count: int) -> Any:
 
 
 def _frame_columns(
-    frames: Frames, plane: GroundPlane, found: RowInputs, good: np.ndarray
+    frames: Frames, plane: GroundPlane, found: Detections, good: np.ndarray
 ) -> dict[str, Any]:
     n = good.size
 
@@ -320,7 +298,7 @@ def _obstacle_columns(
     frames: Frames,
     poses: np.ndarray | None,
     plane: GroundPlane,
-    found: RowInputs,
+    found: Detections,
     good: np.ndarray,
     config: Config,
 ) -> dict[str, Any]:
