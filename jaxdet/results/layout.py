@@ -30,6 +30,8 @@ from jaxdet.results.shapes import AGAIN, LOGS, check_shape
 RUN, MANIFEST, FAILED = "run.json", "manifest.json", "failed.json"
 SUMMARY, CONFIG = "summary.json", "config.json"
 FRAMES, OBSTACLES = "frames.parquet", "obstacles.parquet"
+TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
+"""Tables that ``jaxdet track`` adds to a log's folder."""
 WORKING, READY = ".jaxdet", "ready"
 FLEET = ".fleet"
 """Folder in results for notes of machines that share a run, see jaxdet.fleet.publish."""

@@ -24,10 +24,12 @@ from jaxdet.results.layout import (
     CONFIG,
     FAILED,
     FRAMES,
+    LINKS,
     MANIFEST,
     OBSTACLES,
     RUN,
     SUMMARY,
+    TRACKS,
     check_folder,
     entries_of,
     is_complete,
@@ -50,8 +52,6 @@ from jaxdet.results.tracked import TracksInFrames
 CHUNK_FRAMES = 1024
 """Number of frames read together, by default."""
 
-TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
-"""Tables that ``jaxdet track`` adds to a log's folder."""
 LINKED = tuple(LINKS_SCHEMA.names[4:])
 """Columns of ``track_links.parquet`` that ``jaxdet track`` adds to obstacles."""
 TABLES = {
