@@ -17,7 +17,7 @@ from jaxdet.io import LogOptions
 from jaxdet.results import reading, writer
 from jaxdet.results.metadata import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
 from jaxdet.results.names import camera_name, export_name, log_name
-from jaxdet.results.reading import ResultLog, Results
+from jaxdet.results.reading import Results
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.sim import SimConfig, write_log
 from tests.made_results import make_results
@@ -247,24 +247,6 @@ def test_damaged_rows_are_an_error(folder: Path, tmp_path: Path) -> None:
     (torn / "obstacles.parquet").write_bytes(data)
     with Results(torn) as results, pytest.raises(InputError, match="can't be read"):
         list(results.frames())
-
-
-@pytest.mark.parametrize(
-    ("path", "described", "expected"),
-    [
-        ("/a/kitchen", {"is_folder": True}, False),
-        ("/a/drive", {"is_folder": False}, True),
-        ("/a/kitchen", {}, False),
-        ("/a/drive.MCAP", {}, True),
-    ],
-)
-def test_results_of_older_versions_do_not_record_image_folders(
-    path: str, described: dict[str, bool], expected: bool
-) -> None:
-    about = {"pose_source": "poses: TF from map", **described}
-    entry = {"paths": [path], "description": about}
-    log = ResultLog("a", "c", "a", Path(), False, entry, 0, 0)
-    assert log.poses_from_tf is expected
 
 
 def test_different_logs_have_different_folders() -> None:

@@ -1,7 +1,6 @@
 """Reader of the results of ``jaxdet run``, which holds only a part of them in memory."""
 
 import dataclasses
-import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import cached_property
@@ -14,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxdet.config import Config
+from jaxdet.config_changes import changed
 from jaxdet.errors import InputError, JaxdetError, printable
-from jaxdet.io.files import SUFFIXES
 from jaxdet.io.options import LogOptions
 from jaxdet.results import shapes
 from jaxdet.results.arrow import open_file
@@ -111,10 +110,8 @@ class ResultLog(NamedTuple):
 
         Poses of a folder of images come from ``groundtruth.txt`` instead.
         """
-        about = self.summary["description"] or {}
-        known = any(path.suffix.lower() in SUFFIXES for path in self.paths)
-        is_folder = about.get("is_folder", not known)  # older versions did not say
-        return about.get("pose_source", "").startswith("poses: TF") and not is_folder
+        about = self.summary["description"]
+        return about and about["pose_source"].startswith("poses: TF") and not about["is_folder"]
 
     def topic(self, role: str) -> str:
         """Return the topic of the ``color`` or the ``depth`` images; empty if it is unknown."""
@@ -298,17 +295,18 @@ class Results:
     @cached_property
     def method(self) -> Config:
         """Configuration that the obstacles were found with."""
-        return self._restored(Config, self.config)
+        return Config(**{name: self._section(part, name) for name, part in vars(Config()).items()})
 
     @cached_property
     def log_options(self) -> LogOptions:
         """Options that the logs were read with."""
-        return self._restored(LogOptions, self.config.get("log"))
+        return self._section(LogOptions(), "log")
 
-    def _restored(self, kind: type, values: Any) -> Any:
+    def _section(self, section: Any, name: str) -> Any:
+        """Return a section of the configuration with its values in ``config.json``."""
         try:
-            return restored(kind, values)
-        except (JaxdetError, TypeError, ValueError, KeyError, OverflowError) as error:
+            return changed(section, self.config[name], name, "")
+        except (JaxdetError, AttributeError, ValueError, KeyError, OverflowError) as error:
             path = str(next(iter(self.manifests), self.folder) / CONFIG)
             problem = f"is not a configuration ({printable(str(error))[:200]})"
             raise InputError(problem, path=path, remedy=AGAIN) from error
@@ -480,24 +478,13 @@ def open_table(path: Path) -> pq.ParquetFile:
     if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
         problem = f"has format {found} of the tables, not {FORMAT}"
         raise InputError(problem, path=str(path), remedy="run jaxdet run again")
-    again = _TRACK_AGAIN if path.name in (TRACKS, LINKS) else AGAIN
-    found = {field.name: field for field in table.schema_arrow}
-    for field in TABLES.get(path.name, ()):
-        own = found.get(field.name)
-        kind = own.type if own else None
-        dense = kind.value_type if kind and pa.types.is_dictionary(kind) else kind
-        if dense != field.type:
-            problem = f"column {field.name} is {'missing' if kind is None else 'of another type'}"
-            raise InputError(problem, path=str(path), remedy=again)
-        if own and own.nullable and not field.nullable and _has_nulls(table, field.name):
-            problem = f"column {field.name} has nulls"
+    own = {field.name: field for field in table.schema_arrow}
+    for field in TABLES[path.name]:
+        if own.get(field.name) != field:
+            problem = f"column {field.name} is missing, or not as jaxdet writes it"
+            again = _TRACK_AGAIN if path.name in (TRACKS, LINKS) else AGAIN
             raise InputError(problem, path=str(path), remedy=again)
     return table
-
-
-def _has_nulls(table: pq.ParquetFile, column: str) -> bool:
-    """Return whether a column has nulls."""
-    return any(batch.column(0).null_count for batch in table.iter_batches(columns=[column]))
 
 
 def _linked(log: ResultLog, chunk: Tables, links: "_Rows") -> Tables:
@@ -574,15 +561,3 @@ def _batches(
 def _metadata(table: pq.ParquetFile) -> dict[str, str]:
     own = (table.metadata.metadata or {}).items()
     return {k.decode(): v.decode("utf-8", "replace") for k, v in own if k.startswith(b"jaxdet.")}
-
-
-def restored(kind: type, values: Mapping[str, Any]) -> Any:
-    """Return a dataclass from its values in JSON."""
-    hints, found = typing.get_type_hints(kind), {}
-    for field in dataclasses.fields(kind):
-        if field.name in values:
-            value, hint = values[field.name], hints[field.name]
-            if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-                value = restored(hint, value)
-            found[field.name] = tuple(value) if isinstance(value, list) else value
-    return kind(**found)
