@@ -12,7 +12,6 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from jaxdet.engine.options import OF_RUN, OF_RUNNER
 from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError
 from jaxdet.fleet.logs import Log, entries_of, size_of
 from jaxdet.fleet.place import Bucket, address, open_place, probe
@@ -29,9 +28,6 @@ from jaxdet.fleet.publish import (
 from jaxdet.fleet.spool import Spool, check_room, sweep
 from jaxdet.results.layout import FAILED, RUN, TRACKS
 from jaxdet.results.publish import remove
-
-ENGINE_KEYS = ("preset", "config", "log", *OF_RUNNER, *OF_RUN)
-"""Keys of ``how`` that :func:`jaxdet.engine.run_one` takes."""
 
 
 def run_log(log: Log, place: str, how: Mapping[str, Any]) -> dict[str, Any]:
@@ -188,10 +184,9 @@ class _Job:
         """Run the engine; errors of the log are in ``error``."""
         from jaxdet import engine
 
-        chosen = {key: self.how[key] for key in ENGINE_KEYS if self.how.get(key) is not None}
-        chosen |= {"about": self._about(), "name": self.log["log"]}
+        given = {**self.how, "name": self.log["log"], "about": self._about()}
         try:
-            found = engine.run_one(str(self.path), staged, chosen)
+            found = engine.run_one(str(self.path), staged, given)
         except (ConfigError, OutputError):
             raise
         except JaxdetError as error:
