@@ -70,7 +70,7 @@ def no_inputs(count: int) -> Detections:
     """Return inputs of ``count`` frames without detections."""
     numbers, no = np.zeros(count, np.int32), np.zeros(count, bool)
     shapes = {"uv_min": 2, "uv_max": 2, "xyz_min": 3, "xyz_max": 3, "a": 2, "b": 2, "c": 2}
-    shapes |= {"direction": 2, "span": 4}
+    shapes |= {"direction": 2, "span": 4, "nearest": 2}
     slots = {name: np.zeros((count, 0, size), np.int32) for name, size in shapes.items()}
     none = Obstacles(
         num_points=np.zeros((count, 0), np.int32),

@@ -9,6 +9,7 @@ from jaxdet.fleet import publish, result_files, spool
 from jaxdet.fleet.place import Bucket, Folder, input_entry
 from jaxdet.fleet.publish import Target, open_results, version_of
 from jaxdet.results import publish as folders
+from jaxdet.results.layout import log_folders
 from tests.fleet.stub import check_complete, check_results, run_one
 
 WRITES = ("put", "create", "swap", "delete")
@@ -52,7 +53,7 @@ def table(url: str, tmp_path: Path) -> str:
     """Assert that the results agree with their manifest; return the table."""
     if url.startswith("s3:"):
         return check_results(url, "log", tmp_path)
-    return check_complete(Path(url) / "log")
+    return check_complete(log_folders(Path(url))["log"])
 
 
 class Death(BaseException):
