@@ -118,6 +118,7 @@ def distances(detections: Detections) -> np.ndarray:
 
 def point_distances(obstacles: Obstacles) -> np.ndarray:
     """Return the distance of the nearest point of clusters of points, ``(...)`` [depth units]."""
+    assert obstacles.nearest is not None  # only obstacles made of surfaces lack it
     return np.sqrt(dot(obstacles.nearest, np.array([262144.0, 1.0])))
 
 
