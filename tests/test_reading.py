@@ -15,6 +15,7 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions
 from jaxdet.results import reading, writer
+from jaxdet.results.manifest import read_manifest, write_manifest
 from jaxdet.results.metadata import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
 from jaxdet.results.names import camera_name, export_name, log_name
 from jaxdet.results.reading import Results
@@ -168,6 +169,18 @@ def test_logs_that_are_not_finished_are_not_listed(folder: Path, tmp_path: Path)
     (copy / "run.json").unlink()
     with pytest.raises(InputError, match="holds no results"):
         Results(copy)
+
+
+def test_the_configuration_is_not_that_of_results_to_be_overwritten(folder, tmp_path) -> None:
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    config = json.loads((copy / "a/config.json").read_text("utf-8"))
+    config["ground"]["max_depth_m"] = 9.0
+    (copy / "a/config.json").write_text(json.dumps(config), encoding="utf-8")
+    about = {key: read_manifest(copy / "a")[key] for key in ("log", "inputs")}
+    write_manifest(copy / "a", {**about, "run": "of another configuration"})
+    with Results(copy) as results:
+        assert results.stale == ["a"] and [log.name for log in results.logs] == ["b"]
+        assert results.method == CONFIG and [path.name for path in results.manifests] == ["b"]
 
 
 def test_names_in_received_results_cannot_leave_the_folder(folder: Path, tmp_path: Path) -> None:

@@ -129,6 +129,10 @@ class LogFailure(NamedTuple):
     """Entry as in ``summary.json``."""
 
 
+def _failure(entry: Mapping[str, Any]) -> LogFailure:
+    return LogFailure(entry["log"], entry["error"] or "", entry)
+
+
 def open_results(folder: str | PathLike[str]) -> "Results":
     """Open results of ``jaxdet run``: all logs of a run, or one log.
 
@@ -191,7 +195,7 @@ class Results:
     def _find(self) -> Iterator[ResultLog]:
         """Yield the logs with results; add the others to ``failed`` and ``stale``."""
         if is_complete(self.folder):
-            yield from self._logs_of(self.folder)
+            yield from self._logs_of(self.folder, read_manifest(self.folder))
             return
         if not is_run(self.folder):
             problem = f"holds no results ({MANIFEST} and {RUN} are missing)"
@@ -200,49 +204,39 @@ class Results:
         found: list[ResultLog] = []
         for name, folder in log_folders(self.folder).items():
             if not is_complete(folder):
-                self._note_failure(folder)
-            elif self._manifest(folder).get("run") != run:
+                content = read_json(folder / FAILED)
+                self.failed += map(_failure, entries_of(content, folder / FAILED))
+            elif (manifest := read_manifest(folder)).get("run") != run:
                 self.stale.append(name)
             else:
-                found += self._logs_of(folder)
+                found += self._logs_of(folder, manifest)
         yield from sorted(found, key=lambda log: (log.name, log.camera))
 
-    def _manifest(self, folder: Path) -> dict[str, Any]:
-        if folder not in self.manifests:
-            self.manifests[folder] = read_manifest(folder)
-        return self.manifests[folder]
-
-    def _logs_of(self, folder: Path) -> Iterator[ResultLog]:
+    def _logs_of(self, folder: Path, manifest: dict[str, Any]) -> Iterator[ResultLog]:
         """Yield the cameras of a log with results."""
-        manifest, summary = self._manifest(folder), read_json(folder / SUMMARY)
+        summary = read_json(folder / SUMMARY)
         if read_json(folder / MANIFEST) != manifest:
             problem = "the results were replaced while they were opened"
             raise InputError(problem, path=str(folder), remedy="read them again")
-        self.summaries[folder] = summary
+        self.manifests[folder], self.summaries[folder] = manifest, summary
         entries = entries_of(summary, folder / SUMMARY)
         check_shape(summary, shapes.SUMMARY, folder / SUMMARY)
         frame = obstacle = 0
         for entry in entries:
-            name, camera = str(entry["log"]), entry["camera"]
+            name, camera = entry["log"], entry["camera"]
             if entry["error"]:
-                self.failed.append(LogFailure(name, str(entry["error"]), entry))
+                self.failed.append(_failure(entry))
                 continue
             several = "@" in str(entry.get("file_name"))
             label = f"{name}, {camera}" if several else name
-            yield ResultLog(name, str(camera), label, folder, several, entry, frame, obstacle)
+            yield ResultLog(name, camera, label, folder, several, entry, frame, obstacle)
             frame, obstacle = frame + entry["frames"], obstacle + entry["obstacles"]
-
-    def _note_failure(self, folder: Path) -> None:
-        content = read_json(folder / FAILED)
-        for entry in entries_of(content, folder / FAILED):
-            self.failed.append(LogFailure(str(entry["log"]), str(entry["error"]), entry))
 
     def _read_config(self) -> dict[str, Any]:
         """Return the configuration of the logs; set ``config_source``, which names the version."""
-        one = next(iter(self.manifests), None)
-        if one is not None:
-            self.config_source = self.manifests[one]
-            return read_json(one / CONFIG)
+        if self.manifests:
+            folder, self.config_source = next(iter(self.manifests.items()))
+            return read_json(folder / CONFIG)
         record = read_json(self.folder / RUN)
         self.config_source = record.get("about", {})
         return record.get("config", {})
