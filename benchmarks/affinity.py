@@ -65,8 +65,8 @@ CLOSE = ("room", "tables")
 CLOSE_SEEDS, CLOSE_ONCE = range(2025, 2060), range(2150, 2200)
 """Seeds rendered with both cameras, and seeds rendered with one of them in turn."""
 ROUNDS, FIRST = 395, 10_000
-"""Number of rounds of scenes with one camera each, with three scenes of each close family, and the
-first seed."""
+"""Number of rounds, and the seed of the first one. Each round has scenes of all families with one
+camera, three times as many of the families ``CLOSE``."""
 ROUND_LIGHTS = ("strong", "normal", "weaker", "dim", "strong")
 """Light of the scenes of ``SCENES``, by seed modulo the number of entries."""
 NOISE_PER_M = 0.004

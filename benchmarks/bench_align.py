@@ -78,7 +78,7 @@ def _straightened(size: str, batch: int) -> Callable[[], AlignedDepth]:
 
 @cache
 def _pixels(size: str, batch: int) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows ``(B, POINTS)`` int32 of pixels of the colour images."""
+    """Return columns and rows ``(B, POINTS)`` int32 of pixels of the colour images."""
     image, rng = CALIBRATIONS[size].image, np.random.default_rng(0)
     u, v = (rng.integers(0, n, (BATCH, POINTS), np.int32) for n in (image.width, image.height))
     return repeated((u, v), batch)

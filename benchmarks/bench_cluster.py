@@ -34,9 +34,9 @@ PEERS = {
 
 
 def cases() -> list[Case | Missing]:
-    """1000 kept points a frame, on the device; the peers take a frame at a time.
+    """Cluster 1000 kept points per frame on the device; the peers process one frame at a time.
 
-    The rule is the paper's, which the NumPy loop follows too: their labels are equal.
+    The NumPy loop has the paper's rule too, so its labels must be equal to jaxdet's.
     """
     host = points(BATCHES[kind()], COUNT)
     few = Features(*(a[:PEER_FRAMES] for a in host))
@@ -64,7 +64,7 @@ def cases() -> list[Case | Missing]:
 
 
 def at(point: Point) -> Case:
-    """``slots`` kept points a frame, on the device."""
+    """Cluster ``slots`` kept points per frame on the device."""
     host = points(point.batch, point.slots)
     read = host.x.nbytes + host.z.nbytes + host.kept.nbytes
     return _case(host, settings(PAPER, point.slots))._replace(name=point.name, bytes_read=read)
@@ -80,7 +80,7 @@ def _reference(features: Features, config: Config) -> np.ndarray:
 
 
 def _metres(features: Features, b: int) -> np.ndarray:
-    """``(N, 3)`` float64, x y z."""
+    """Return the points of frame ``b``, ``(N, 3)`` float64 x y z [m]."""
     return np.stack([features.x[b], features.y[b], features.z[b]], axis=1) * UNIT
 
 

@@ -95,7 +95,7 @@ def handwritten(frames: Frames) -> list[np.ndarray]:
 
 
 def open3d(frames: Frames) -> list[np.ndarray]:
-    """The same task from depth alone by Open3D, frame by frame, on all cores.
+    """Detect obstacles from only depth by Open3D, frame by frame, on all cores.
 
     Returns:
         For each frame the cluster of each voxel above the floor, -1 = none.

@@ -34,7 +34,7 @@ LEAST_SHARE = 0.04
 TURN_DEG = 1.5
 """Maximum angle between a correct plane and the original one [degree]."""
 PAST_M = 0.15
-"""A ray passes an edge if it ends more than this beyond it [m]."""
+"""A ray passes an edge if the ray ends more than this beyond the edge [m]."""
 
 
 class Cut(NamedTuple):
@@ -47,9 +47,9 @@ class Cut(NamedTuple):
     ahead: int
     """Number of rays that passed the edge before the cut."""
     passing: int
-    """Number of these that still pass it."""
+    """Number of rays of ``ahead`` that still pass the edge after the cut."""
     as_drop: int
-    """Number of these that end at a drop."""
+    """Number of rays of ``ahead`` that end at a drop after the cut."""
 
     @property
     def is_right(self) -> bool:
@@ -63,9 +63,9 @@ def lowered(
     """Return a depth image with the floor beyond an edge lowered.
 
     Args:
-        depth: ``(Hd, Wd)`` uint16 [depth units].
-        frames: Frames with its calibration.
-        plane: Its floor, a batch of one.
+        depth: Depth image ``(Hd, Wd)`` uint16 [depth units].
+        frames: Frames with the calibration of the image.
+        plane: Floor of the image, ``B = 1``.
         edge_m: Distance forward at which the floor ends [m].
         drop_m: Height of the drop [m].
     """

@@ -32,7 +32,7 @@ STEP_M = 0.02
 
 
 class Figures(NamedTuple):
-    """Results for some frames; those of several are their sums."""
+    """Results for one or more frames; results of several frames are added."""
 
     frames: int
     rays: int
@@ -42,7 +42,7 @@ class Figures(NamedTuple):
     right_m: float
     """Length of the correct free floor of columns [m]."""
     kept_m: float
-    """Length of its part in which the ray is free [m]."""
+    """Length of the part of ``right_m`` in which the ray is free [m]."""
 
 
 def figures(frames: Frames, config: Config) -> Figures:
@@ -81,7 +81,7 @@ def _rays_of(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
 
 
 def _nearest(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
-    """Return the minimum range of the points on each ray, ``(RAYS,)``; inf if it has none."""
+    """Return the minimum range of the points on each ray, ``(RAYS,)``; inf without points."""
     least = np.full(RAYS, np.inf)
     np.minimum.at(least, _rays_of(right, forward), np.hypot(right, forward))
     return least

@@ -56,22 +56,22 @@ class Score(NamedTuple):
     """Counts of one drive, or the sums of several."""
 
     phantoms: int
-    """Phantoms on the map without tracks, of all obstacles."""
+    """Number of phantoms on the map of all obstacles, before ``jaxdet track``."""
     left: int
-    """Phantoms on the map after ``jaxdet track``."""
+    """Number of phantoms on the map after ``jaxdet track``."""
     things: int
-    """Real objects on the map without tracks."""
+    """Number of real objects on the map before ``jaxdet track``."""
     lost: int
     added: int
-    """Obstacles of added objects."""
+    """Number of obstacles of added objects."""
     new: int
-    """Those not in the known map."""
+    """Number of obstacles of added objects that are reported as not in the known map."""
     added_things: int
-    """Added objects with obstacles."""
+    """Number of added objects with obstacles."""
     new_things: int
-    """Those of which most obstacles are not in the known map."""
+    """Number of added objects most of whose obstacles are reported as not in the known map."""
     mapped: int
-    """Obstacles of objects in the known map."""
+    """Number of obstacles of objects in the known map."""
     in_map: int
     mapped_things: int
     in_map_things: int
@@ -188,7 +188,7 @@ class Room:
         return cell[..., 1], cell[..., 0]
 
     def thing_of(self, points: np.ndarray, distance_m: float) -> int:
-        """Return the object to which nearly all points of a contour belong, else -1."""
+        """Return the object to which nearly all points of a contour belong; -1 if there is none."""
         row, column = self.cells(points)
         away = self.away[:, row, column]
         near = away.argmin(axis=0)[away.min(axis=0) <= AT_M + AT_PER_M * distance_m**2]
@@ -210,7 +210,7 @@ class Room:
         return count - 1 - len(np.unique(group[occupied & real]))
 
     def things_on(self, grid: Grid) -> np.ndarray:
-        """Return which things have occupied cells on them, or 10 cm from them, ``(J,)`` bool."""
+        """Return whether each object has occupied cells at most 10 cm away, ``(J,)`` bool."""
         occupied, at = self._occupied(grid)
         row, column = self.cells(at[occupied])
         return np.any(self.away[:, row, column] <= 0.1, axis=1)

@@ -41,8 +41,8 @@ def spread_of(z: np.ndarray, floor: np.ndarray, camera: Intrinsics) -> Spread:
     """Compute the deviation of a floor.
 
     Args:
-        z: ``(H, W)`` float, measured depth [m], 0 = no measurement.
-        floor: ``(H, W)`` bool, pixels that show the floor.
+        z: Measured depth ``(H, W)`` float [m], 0 = no measurement.
+        floor: Mask of the pixels that show the floor, ``(H, W)`` bool.
         camera: Intrinsics of the camera.
     """
     v, u = np.nonzero(floor & (z > 0) & (z < RANGES_M[-1][1]))

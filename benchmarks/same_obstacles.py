@@ -46,7 +46,7 @@ JOINED = "cells are joined otherwise"
 SMALL = "near the least size"
 OTHER = "none of these"
 FEW = 0.1
-"""Share of the points of a contour that count as single cells; two always do."""
+"""Up to this fraction of the points of a contour, or two points, count as single cells."""
 RECTANGLE = "the rectangle alone"
 CELLS = "single cells of the contour"
 
@@ -242,7 +242,7 @@ class GroundObstacle(NamedTuple):
     """Corners of its rectangle on the floor, ``(4, 2)`` [m]."""
 
     def moved(self, turn: np.ndarray, shift: np.ndarray) -> "GroundObstacle":
-        """Transform it to another camera, see :func:`ground_motion`."""
+        """Return the obstacle in the ground frame of another camera, see :func:`ground_motion`."""
         contour, corners = (a @ turn.T + shift for a in (self.contour, self.corners))
         return self._replace(contour=contour, corners=corners)
 
@@ -316,7 +316,7 @@ def _moved(
 def _little(
     one: GroundObstacle, other: GroundObstacle, parts: dict[str, float], tolerance_m: float
 ) -> str | None:
-    """Return the reason if only a part of the outline of a pair differs, else None."""
+    """Return the reason if only a part of the outlines of a pair differs; otherwise None."""
     if max(parts["distance"], parts["bottom_m"], parts["top_m"]) > tolerance_m:
         return None
     if parts["contour"] <= tolerance_m:
@@ -369,14 +369,14 @@ def _plane(row: dict[str, Any]) -> tuple[np.ndarray, float]:
 
 
 def ground_motion(down: np.ndarray, T_color_depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the motion from the ground frame of the colour camera to the depth camera's.
+    """Return the motion from the ground frame of the colour camera to that of the depth camera.
 
     Args:
-        down: Down in the colour camera, ``(3,)``.
-        T_color_depth: ``(4, 4)``.
+        down: Down vector in the colour camera, ``(3,)``.
+        T_color_depth: Extrinsics ``(4, 4)``.
 
     Returns:
-        ``(2, 2)`` rotation and ``(2,)`` shift [m].
+        Rotation ``(2, 2)`` and shift ``(2,)`` [m].
 
     Example:
         >>> T = np.eye(4)

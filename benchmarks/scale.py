@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 REPLACED_S = 180.0
-"""Time until a lost node is replaced."""
+"""Time until a lost node is replaced [s]."""
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class Options:
     """Simulate runs over many logs on many nodes."""
 
     terabytes: float = 1000.0
-    """Size of all logs."""
+    """Total size of all logs [TB]."""
     mean_gb: float = 14.9
-    """Mean size of a log; sizes are log-normal from 1 to 100 GB."""
+    """Mean size of a log [GB]; sizes are log-normal from 1 to 100 GB."""
     frame_mb: float = 1.536
     """Size of a frame with all its data in the log: 640x480 raw depth and colour [MB]."""
     frames_per_s: float = 14_000.0

@@ -85,7 +85,7 @@ class OnCells(NamedTuple):
     cells: Cells
     fit: FloorFit
     floor: np.ndarray
-    """``(B, 13)`` int32, see :func:`jaxdet.floor.frame.floor_frames`."""
+    """Floor frames ``(B, 13)`` int32, see :func:`jaxdet.floor.frame.floor_frames`."""
     surfaces: list[Found]
     obstacles: list[Found]
 

@@ -38,7 +38,7 @@ LONG_M = 1.6
 """Longer objects (hedges) need not be found, because their visible part has no defined centre
 [m]."""
 MERGED_M = 0.15
-"""An outline contains an object if its centre is inside or at most this far away [m]."""
+"""An outline contains an object if the object's centre is inside or at most this far away [m]."""
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ class _Log:
 
     @cached_property
     def required(self) -> np.ndarray:
-        """Objects that must be found, ``(F, J)`` bool."""
+        """Whether each object must be found in a frame, ``(F, J)`` bool."""
         truth = self.truth
         box = truth.box_world[:, :, :4, :2].astype(np.float64)
         sides = np.linalg.norm(box - np.roll(box, 1, axis=2), axis=-1).max(axis=(0, 2))
@@ -229,7 +229,7 @@ class _Log:
 
     @property
     def _inside(self) -> np.ndarray:
-        """Objects placed inside a taller one, ``(J,)`` bool; no image can separate the two."""
+        """Whether each object is inside of a taller one, ``(J,)`` bool, so no image shows both."""
         things = self.scene.objects
         stand = [j for j, o in enumerate(things) if not isinstance(o, Model) or o.path is None]
         box, high = self.truth.box_world[0, :, :4, :2], self.truth.box_world[0, :, :, 2].max(axis=1)

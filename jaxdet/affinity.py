@@ -35,21 +35,26 @@ PAIR_FEATURES = (
     "through_share",
     "through_share_in_columns",
 )
-"""Features of a pair of surfaces. ``less`` is the surface with fewer cells, ``more`` the other.
+"""Names of the features of a pair of surfaces.
 
-``gap``: distance of the contours on the floor; ``ahead``: forward gap on the floor; ``overlap``:
-lateral overlap in percent of the narrower; ``nearest``: distance of the nearer surface; ``behind``:
-distance of ``less`` minus that of ``more``. Numbers of rows and columns in which the surfaces face
-each other: ``rows`` and ``columns``; with free sight between them: ``through``,
-``through_in_columns``, and in percent ``through_share``, ``through_share_in_columns``; across a
-nearer object or a hole: ``between_in_columns``. ``step``: mean depth difference in rows without
-free sight. In percent of the rows of the surface with fewer: ``hidden_share``, rows with a nearer
-object between them; ``agree_share``, rows whose depth continues behind it or across a hole
-(``agree``: their number)."""
+``*_less`` is a property of the surface with fewer cells, ``*_more`` of the other one.
+
+- On the floor: ``gap``, distance between the contours; ``ahead``, forward gap; ``overlap``, lateral
+  overlap in percent of the narrower surface; ``nearest``, distance of the nearer surface;
+  ``behind``, distance of the surface with fewer cells minus distance of the other one.
+- ``rows`` and ``columns``: number of places in rows and in columns where the surfaces face each
+  other. ``through`` and ``through_in_columns``: number of those with free sight, that is with floor
+  or something farther in between; ``through_share`` and ``through_share_in_columns``: the same in
+  percent. ``between_in_columns``: number of those with a nearer object or a hole in between.
+- ``agree``: number of places in rows where the depth continues behind a nearer object or across a
+  hole. ``agree_share``: the same in percent of the rows of the surface with fewer rows, as is
+  ``hidden_share``: places in rows with a nearer object in between.
+- ``step``: mean depth difference at the places in rows without free sight.
+"""
 LENGTHS = frozenset({"gap", "ahead", "step", "nearest", "behind"}) | {
     name for name in PAIR_FEATURES if name.split("_")[0] in ("width", "depth", "bottom", "top")
 }
-"""Features in depth units; millimetres in a table file."""
+"""Features that are lengths [depth units]; their thresholds in a table file are in millimetres."""
 GROWS = {
     "gap": -1,
     "ahead": -1,

@@ -8,7 +8,7 @@ _ANGLE = re.compile(r"(?P<number>[-+]?[0-9.]+(?:e[-+]?[0-9]+)?)\s*(?P<unit>deg|Â
 
 
 def parse_angle(text: Any) -> float:
-    """Parse an angle, in radians.
+    """Return the angle [rad] that a text such as ``10deg`` states.
 
     Raises:
         ValueError: The text is not a number followed by ``deg`` or ``rad``.

@@ -59,7 +59,7 @@ def numeric(name: str, values: Any) -> "np.ndarray":
     """Return values as an array of numbers or booleans, without copying arrays.
 
     Raises:
-        InputError: The values are neither.
+        InputError: The values are neither numbers nor booleans.
     """
     import numpy as np
 

@@ -1,6 +1,6 @@
 """Camera models on the host: rays and tables that both backends share.
 
-They are computed once per calibration (and cached), in float64 unless noted, and never in jitted
+Tables are computed once per calibration and cached, in float64 unless noted, and never in jitted
 programs: trigonometry and iterations would not agree to the bit between NumPy, XLA and CUDA.
 """
 
@@ -17,7 +17,8 @@ RAY_BITS = 20
 """Fraction bits of a fixed-point ray: x in depth units is ``(ray * z) >> RAY_BITS``, rounded."""
 
 MAX_RAY = 4.0
-"""Maximum slope of a ray in 32-bit integer arithmetic (half a field of view of 76 degrees)."""
+"""Maximum slope of a ray, x / z or y / z, which is 76 degrees from the optical axis; with steeper
+rays 32-bit integers would overflow."""
 
 
 def distort(x: np.ndarray, y: np.ndarray, camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
@@ -67,8 +68,9 @@ def coefficients(camera: Intrinsics) -> np.ndarray:
     """
     if len(camera.coefficients) > NUM_COEFFICIENTS:
         raise CalibrationError(
-            f"{len(camera.coefficients)} distortion coefficients for {camera.distortion}",
-            remedy="at most 8 are supported; pass --log.color-distortion or --log.depth-distortion",
+            f"{len(camera.coefficients)} distortion coefficients for {camera.distortion} exceed "
+            f"the maximum of {NUM_COEFFICIENTS}",
+            remedy="pass --log.color-distortion or --log.depth-distortion",
         )
     return np.array([*camera.coefficients, *[0.0] * (8 - len(camera.coefficients))])
 
@@ -134,7 +136,8 @@ def fixed_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
         ``x`` and ``y`` over z, each ``(H, W)`` int32, read-only.
 
     Raises:
-        CalibrationError: A ray exceeds ``MAX_RAY``, or see :func:`pixel_rays`.
+        CalibrationError: The slope of a ray exceeds ``MAX_RAY``, or the lens model can't be
+            inverted over the image.
     """
     x, y = pixel_rays(camera)
     for ray in (x, y):
@@ -144,7 +147,7 @@ def fixed_rays(camera: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_steepness(rays: np.ndarray, flag: str) -> None:
-    """Check the slopes of rays.
+    """Check the slopes of rays; an error recommends ``flag``.
 
     Raises:
         CalibrationError: A slope exceeds ``MAX_RAY``.

@@ -41,7 +41,7 @@ FOCAL_LENGTHS = 1.0, 1e6
 VIEW_DEG = 1.0, 179.0
 """Minimum and maximum field of view, the larger of horizontal and vertical [degree]."""
 MAX_PIXEL_ASPECT = 4.0
-"""Maximum ratio of fx and fy; binned rows or columns make it 2."""
+"""Maximum ratio between fx and fy; binning of rows or columns alone makes it 2."""
 MAX_COEFFICIENT = 1e4
 """Maximum magnitude of a distortion coefficient."""
 MAX_BASELINE_M = 10.0
@@ -276,7 +276,7 @@ _checked_calibrations: deque[Calibration] = deque(maxlen=16)
 
 
 def _check_camera_once(calibration: Calibration) -> None:
-    """Run :func:`check_calibration` once per object."""
+    """Run :func:`check_calibration` once per calibration object."""
     if not any(calibration is one for one in _checked_calibrations):
         check_calibration(calibration)
         _checked_calibrations.append(calibration)
@@ -300,15 +300,15 @@ def _check_planes(planes: GroundPlane) -> int:
     return len(valid)
 
 
-_PLANES = "pass (B,) numbers each, for instance with jaxdet.flat_plane"
+_PLANES = "pass (B,) arrays of numbers, for instance from jaxdet.flat_plane"
 
 
 def _column(name: str, values: Any, kinds: str) -> np.ndarray:
-    """Return a one-dimensional array whose dtype is of one of the NumPy kinds."""
+    """Return values as an array with one axis; its dtype must be of one of these NumPy kinds."""
     array = np.asarray(values) if hasattr(values, "dtype") else np.zeros((), object)
     if array.dtype.kind not in kinds or array.ndim != 1:
         kind = str(getattr(values, "dtype", type(values).__name__))
-        problem = f"got {kind} of shape {np.shape(array)}"
+        problem = f"expected an array with one axis, got {kind} of shape {np.shape(array)}"
         remedy = "pass a (B,) array of bool" if kinds == "b" else _PLANES
         raise InputError(problem, topic=name, remedy=remedy)
     return array

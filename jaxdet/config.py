@@ -2,8 +2,9 @@
 
 Every field is a command-line flag (``--ground.max-depth-m``) and a TOML key
 (``[ground] max_depth_m``). The parts ``floor``, ``surface`` and ``obstacle`` configure the methods
-on depth cells, ``features`` and ``cluster`` the preset ``paper``; the others serve both. All are
-hashable, so JAX can take them as static arguments.
+on depth cells, ``features`` and ``cluster`` the preset ``paper``; the others serve both. The
+dataclasses are hashable, so JAX can take them as static arguments. Numbers of sections and
+equations are those of the paper (``jaxdet help paper``).
 """
 
 import math
@@ -14,26 +15,27 @@ from jaxdet.arguments import check_fields
 from jaxdet.errors import ConfigError
 
 MAX_POINTS = 8192
-"""Maximum number of points to cluster per frame: the limit of the 32-bit keys and sums."""
+"""Maximum number of points clustered per frame; with more, the 32-bit keys and sums overflow."""
 
 TRIM_SHARE = 16
-"""At most one in this many of an obstacle's points is trimmed at each side, and in front."""
+"""Divisor of an obstacle's number of points; the quotient is the maximum number of points that are
+trimmed at each side, and in front."""
 
 LARGEST_STEP_M = 1.0
-"""Largest step, margin or error in a configuration [m]; a larger value is probably in millimetres.
-"""
+"""Largest step, margin or error that a configuration accepts [m]; larger values are probably in
+millimetres."""
 
 LARGEST_SIZE_M = 5.0
-"""Largest object size and gap in depth in a configuration [m]."""
+"""Largest object size and gap in depth that a configuration accepts [m]."""
 
 LARGEST_GAP_M = 10.0
-"""Largest gap on the floor in a configuration [m]."""
+"""Largest gap on the floor that a configuration accepts [m]."""
 
 FARTHEST_M = 65.535
-"""Maximum depth [m]: 16 bits of millimetres."""
+"""Largest depth that a configuration accepts [m]: the largest 16-bit number of millimetres."""
 
 DEPTH_UNITS_M = 1e-5, 0.1
-"""Smallest and largest depth unit [m]: 16 bits of them cover 0.65 m to 6.5 km."""
+"""Smallest and largest depth unit [m]; the largest 16-bit depth is then 0.65 m and 6.5 km."""
 
 
 def _require(condition: bool, field_name: str, rule: str) -> None:
@@ -64,8 +66,8 @@ class GroundConfig:
     """Maximum height that the wheels can climb [m]; lower points are floor."""
     step_height_per_m: float = 0.003
     """Increase of the step height per metre of depth, for noise; it is divided by s for cells of s
-    x s pixels. The preset paper, which uses one plane, does not divide it: there it is the
-    uncertainty of the floor's tilt (0.003 is 0.2 degrees). The paper itself has 0.
+    x s pixels. The preset paper uses it undivided, as the uncertainty of the floor's tilt (0.003 is
+    0.2 degrees), and sets it to 0, as in the paper.
     """
     noise_per_m: float = 0.07
     """Depth noise on the floor [1/m]: the step height is at least the product of this value, the
@@ -82,11 +84,11 @@ class GroundConfig:
     camera_roll_rad: float = 0.0
     """Roll of the camera [rad], clockwise seen from behind; used with camera_height_m."""
     source: str = "auto"
-    """Prior of the floor estimate of each frame: auto (flags, then tf), flags, tf, or estimate
-    (neither). If enough frames of a sample show the floor, their median floor replaces it. none: no
-    floor is estimated, and no points are removed as floor."""
+    """Source of the prior for the floor estimate of each frame: flags, tf, auto (flags, else tf),
+    or estimate (neither). If enough frames of a sample show the floor, their median floor replaces
+    the prior. none: no floor is estimated, and no points are removed as floor."""
     sample_frames: int = 24
-    """Number of sample frames, evenly spaced over the log or the window."""
+    """Number of frames in the sample, evenly spaced over the log or over each time window."""
     window_s: float = 0.0
     """Length of time windows with one sample each [s]. 0: one sample for the whole log."""
 
@@ -177,9 +179,10 @@ class FloorConfig:
     """
 
     max_cells: int = 4800
-    """Maximum number of cells used; larger images are subsampled on a regular grid."""
+    """Maximum number of cells from which the floor is estimated; if an image has more, they are
+    subsampled on a regular grid."""
     max_depth_m: float = 6.0
-    """Maximum depth used [m]; 0: no floor is estimated."""
+    """Maximum depth from which the floor is estimated [m]; 0: no floor is estimated."""
     noise_per_m: float = 0.004
     """Depth error divided by depth squared [1/m]; 0.004 for a D435."""
     max_turn_deg: float = 4.0
@@ -187,17 +190,17 @@ class FloorConfig:
     max_shift_m: float = 0.07
     """Largest correction of the prior's height [m]."""
     min_share: float = 0.04
-    """Minimum inlier fraction of the cells."""
+    """Minimum inlier fraction: cells on the floor, divided by all cells used."""
     min_share_alone: float = 0.06
     """Minimum inlier fraction without a prior, for a pitch of up to 35 degrees; it rises by 1.2
-    percentage points per additional degree. Cells clearly below the plane are penalised twice."""
+    percentage points per additional degree. Each cell clearly below the plane costs two inliers."""
     ramps: bool = True
     """Whether to search for a ramp ahead; with a prior, also for a step."""
     bow_per_m: float = 0.01
-    """Tolerance for stereo bowing of distant floors [1/m]: depth below the plane by up to the step
-    height plus this times z squared is still floor."""
+    """Tolerance for stereo bowing of distant floors [1/m]: cells below the plane by at most the
+    step height plus this value times z squared are still floor."""
     drop_m: float = 0.05
-    """Minimum height of a drop [m], on top of the noise."""
+    """Minimum height of a drop [m]; the noise is added to it."""
     gap_m: float = 0.5
     """Maximum length of unmeasured floor across which the free floor continues [m]."""
 
@@ -223,24 +226,24 @@ class SurfaceConfig:
     step_m: float = 0.03
     """Maximum depth difference between neighbouring cells of a surface [m]."""
     step_per_m: float = 0.011
-    """Increase of the depth difference, in proportion to z squared [1/m]: about four standard
-    deviations of a D435's depth."""
+    """Increase of the maximum depth difference, in proportion to z squared [1/m]; 0.011 is about
+    four standard deviations of a D435's depth."""
     crease_cells: int = 3
     """Number of cells on each side over which a crease (a bend in depth) is measured."""
     crease_m: float = 0.010
-    """Minimum depth of a crease that separates surfaces [m]."""
+    """Minimum deviation in depth at a crease that separates surfaces [m]."""
     crease_per_m: float = 0.004
-    """Increase of the crease depth, in proportion to z squared [1/m]."""
+    """Increase of crease_m, in proportion to z squared [1/m]."""
     crease_margin: int = 1
     """Number of cells by which creases are dilated, to close gaps in them."""
     min_cells: int = 6
     """Minimum number of cells of a surface or of a crease."""
     hole_cells: int = 8
-    """Maximum number of unmeasured cells in a row or column across which cells count as connected
-    for min_cells, if their depth continues. 0 disables it."""
+    """Maximum number of consecutive unmeasured cells, in a row or column, across which cells count
+    as connected for min_cells, if their depth continues. 0 disables it."""
     bent_m: float = 0.20
-    """Maximum height of stereo bowing [m]: lower surfaces without a steep side that are far away or
-    at the image border are floor. 0 disables it."""
+    """Maximum height of stereo bowing [m]: a lower surface is floor if it has no steep side and is
+    far away or at the image border. 0 disables it."""
     beyond: float = 1.15
     """Factor by which surfaces extend beyond the maximum depth, so that the end of the range does
     not cut objects into pieces; objects that begin beyond the range are ignored."""
@@ -282,12 +285,12 @@ class ObstacleConfig:
     """Maximum distance of an obstacle's contour behind the chord between its ends [m]; beyond it
     the obstacle is split there, like two walls at a corner of a room. 0 disables it."""
     side_m: float = 1.0
-    """Minimum length of both sides of such a split [m], and maximum distance between neighbouring
-    contour points at the corner."""
+    """Minimum length of both sides of a split at a corner [m], and maximum distance between
+    neighbouring contour points there; see bend_m."""
     min_size_m: float = 0.05
     """Minimum width or height of an obstacle [m]."""
     min_cells: int = 6
-    """Minimum number of depth cells."""
+    """Minimum number of depth cells of an obstacle."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -342,7 +345,10 @@ class ClusterConfig:
 
 @dataclass(frozen=True)
 class FootprintConfig:
-    """Outline on the floor (Section 3.5, Eq. 7-9)."""
+    """Outline on the floor (Section 3.5, Eq. 7-9).
+
+    A and B are the outermost points of an obstacle on the left and on the right, C its nearest one.
+    """
 
     vertex_threshold_m: float = 0.03
     """d_threshold of Eq. 7 [m], about the sensor's error. C is a vertex if it is nearer than A and
@@ -351,20 +357,22 @@ class FootprintConfig:
     """Number of outermost points on each side, and of nearest points, that are ignored as outliers
     in A, B and C; at most a sixteenth of the obstacle's points. The paper has 0."""
     side_band_per_m: float = 0.006
-    """Width of the band behind the outermost points whose medians are A and B, per metre of
-    distance [m/m], since silhouettes blur over about three pixels. The paper has 0."""
+    """Width per metre of distance [m/m] of two bands of points, behind the leftmost and the
+    rightmost point. Their medians are A and B, since silhouettes blur over about three pixels. The
+    paper has no bands (0)."""
     near_band_per_m2: float = 0.012
-    """Depth of the band behind the nearest point whose median is C, divided by the distance squared
-    [1/m], since the minimum of noisy depths is biased and stereo noise grows with the square; 0.012
-    is about four standard deviations of a D435. The paper has 0."""
+    """Depth of a band of points behind the nearest point, divided by the distance squared [1/m], as
+    stereo noise grows with this square; 0.012 is about four standard deviations of a D435. The
+    median of the band is C, since the minimum of noisy depths is biased. The paper has no band (0).
+    """
     extension_m: float = 0.20
-    """Distance by which the edge AB is extended backward if there is no vertex [m]. Fitted
-    rectangles end with their obstacle's cells."""
+    """Distance by which the edge AB is extended backward if there is no vertex [m]. Rectangles that
+    are fitted to cells are not extended."""
     margin_m: float = 0.0
     """Margin added to the rectangle on all sides [m]."""
     margin_per_m2: float = 0.007
-    """Increase of the margin in proportion to the square of the obstacle's smallest z [1/m], as
-    stereo noise grows; 0.007 is nearly two standard deviations of a D435."""
+    """Increase of the margin in proportion to the square of the obstacle's smallest z [1/m], like
+    stereo noise; 0.007 is nearly two standard deviations of a D435."""
     long_m: float = 3.0
     """Length above which a fitted rectangle ignores a twentieth of its cells at each long side [m],
     since the depth of walls spreads over the floor in front of them."""

@@ -20,7 +20,7 @@ Section = TypeVar("Section", bound="DataclassInstance")
 
 
 def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
-    """Return a configuration with changes of sections or parameters, see :func:`jaxdet.preset`.
+    """Return a copy of a configuration with other values, given as for :func:`jaxdet.preset`.
 
     Raises:
         ConfigError: A parameter is unknown or in several sections, or a value is invalid.
@@ -59,7 +59,8 @@ def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -
     The key of an angle may lack its ``_rad`` if the value has a unit: ``camera_pitch = "10deg"``.
 
     Raises:
-        ConfigError: A key is unknown or a value has the wrong type; the error names both.
+        ConfigError: A key is unknown or a value has the wrong type; the error names the key, the
+            section ``name`` and, if not empty, the file ``path``.
     """
     hints, clean = typing.get_type_hints(type(section)), {}
     for key, value in values.items():

@@ -22,12 +22,13 @@ ConfigSource = Config | Mapping[str, Any] | str | PathLike[str]
 
 
 class Settings(NamedTuple):
-    """Settings from a file and its preset."""
+    """Configuration and log options, from a preset and the file that changes it."""
 
     config: Config
     log: LogOptions
     """Options for reading logs."""
     preset: str
+    """Name of the preset."""
 
 
 def find_config(source: ConfigSource) -> Config:
@@ -147,7 +148,7 @@ def _place(key: str) -> str:
 
 
 def _of_results(text: str, where: str) -> dict[str, Any]:
-    """Return the sections of a ``config.json``, without unset values and other keys of its run."""
+    """Return the sections of a ``config.json`` and its preset, without values that are unset."""
     try:
         table = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 _HALF_PI = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21
-"""π/2 as a sum; the first two terms have 33 bits, so that products with 20 bits are exact."""
+"""π/2 as a sum; the first two terms have 33 bits, so that products with numbers of
+20 bits are exact."""
 _FARTHEST = 2.0**20 * 1.57
-"""Maximum angle of the argument reduction [rad]."""
+"""Largest angle that :func:`sin_cos` reduces with full accuracy [rad]."""
 _SIGNS = np.array([1.0, 1.0, -1.0, -1.0, 1.0])
 """Signs of the sine by quadrant; those of the cosine begin at the second entry."""
 _PI_LOW = 1.2246467991473532e-16
@@ -124,7 +125,7 @@ def arctan2(y: ArrayLike, x: ArrayLike) -> np.ndarray:
     rise, run = np.abs(y), np.abs(x)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
         slope = rise / run
-    # also if both are 0 or infinite
+    # the quotient is NaN if both are 0 or infinite
     slope = np.where(rise == run, np.where(rise > 0, 1.0, 0.0), slope)
     angle = arctangent(slope)
     return np.copysign(np.where(np.signbit(x), np.pi - (angle - _PI_LOW), angle), y)
@@ -140,7 +141,7 @@ def hypot(x: ArrayLike, y: ArrayLike) -> np.ndarray:
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     with np.errstate(over="ignore"):
         square = x * x + y * y
-    if np.all((square > 2.0**-900) & (square < 2.0**1000)):  # as nearly always: no scale
+    if np.all((square > 2.0**-900) & (square < 2.0**1000)):  # nearly always: needs no scaling
         return np.sqrt(square)
     x, y = np.abs(x), np.abs(y)
     most = np.maximum(x, y)

@@ -43,7 +43,7 @@ class JaxdetError(Exception):
     """
 
     topics: tuple[Any, ...] = ()
-    """Topics of the log concerned, if they are known; ``jaxdet info`` lists them."""
+    """Topics of the log that caused the error, if they are known; ``jaxdet info`` lists them."""
 
     def __init__(self, problem: str, *, path: str = "", topic: str = "", remedy: str = "") -> None:
         self.problem, self.path, self.topic, self.remedy = problem, path, topic, remedy
@@ -174,6 +174,6 @@ class FrameStatus(StrEnum):
     BAD_CALIBRATION = "bad_calibration"
     """The image size or the calibration of the frame contradicts the log's calibration."""
     WORKER_CRASHED = "worker_crashed"
-    """The process that worked on the frame and its neighbours died twice."""
+    """The process that worked on the frame, and on frames next to it, died twice."""
     TIMEOUT = "timeout"
-    """The process made no progress, twice."""
+    """The process that worked on the frame twice made no progress within the time limit."""

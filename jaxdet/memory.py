@@ -16,7 +16,7 @@ _SIZE = re.compile(r"(\d{1,18}(?:\.\d+)?) ?([kmgt]?(?:i?b)?)", re.IGNORECASE | r
 
 
 def machine_memory() -> int:
-    """Return the machine's memory, or the limit of its control groups if that is lower [byte]."""
+    """Return the size of the machine's memory, or the lowest limit of its control groups [byte]."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return min(total, *_group_limits(), total)
 
@@ -61,5 +61,5 @@ def parse_size(text: str, flag: str) -> int:
 
 
 def size_text(nbytes: int) -> str:
-    """Format a size for :func:`parse_size`, rounded up to MiB."""
+    """Format a number of bytes as a size in whole MiB, rounded up; :func:`parse_size` reads it."""
     return f"{-(-nbytes >> 20)}MiB"

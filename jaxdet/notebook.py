@@ -5,7 +5,7 @@ from html import escape
 from typing import Any
 
 MOST_ROWS = 20
-"""Maximum number of rows in a table; a last line has the number of further rows."""
+"""Maximum number of rows in a table; a line below it states how many more there are."""
 
 
 def table(title: str, columns: Mapping[str, Sequence[Any]]) -> str:

@@ -56,7 +56,7 @@ def load_backend(name: BackendName) -> Backend:
 
 @cache
 def _process_of_jax() -> int:
-    """Return the id of the first process that computed; forked children inherit the value."""
+    """Return the id of the process that first called this function; forked children inherit it."""
     return os.getpid()
 
 
@@ -74,7 +74,7 @@ def detect(
 
     Args:
         frames: ``B`` frames, see :class:`jaxdet.types.Frames`. Their ``plane`` is the prior of the
-            floor; if it is None, the camera height, pitch and roll of the configuration are. The
+            floor; if it is None, the configuration's camera height, pitch and roll are used. The
             depth of each frame corrects the prior, or determines the floor if there is no prior.
             The preset ``paper`` uses the plane unchanged (:func:`estimate_plane` computes one). If
             ``config.ground.source`` is ``none``, no floor is estimated.

@@ -64,10 +64,10 @@ PRESETS: dict[str, Config] = {
     "orbbec": _with(min_depth_m=0.25, max_depth_m=5.0),
 }
 """Presets. ``wheeled``, the default, is for wheeled robots that climb steps of 5 cm. ``tabletop``
-is for objects on a table whose top is within 1.5 m; its step height is 8 mm plus, with the cells of
-4 pixels of a Kinect, 4 mm per metre of depth. ``paper`` is the method of the paper, with clusters
-of corners as obstacles; ``python -m benchmarks.paper.choose`` chose the parameters that the paper
-does not specify. The others are the default with the depth range of a camera, from its data sheet.
+is for objects on a table top within 1.5 m; its step height is 8 mm plus 4 mm per metre of depth for
+cells of 4 x 4 pixels, as with a Kinect. ``paper`` is the method of the paper, with clusters of
+corners as obstacles; ``python -m benchmarks.paper.choose`` chose the parameters that the paper does
+not specify. Each of the others is ``wheeled`` with the depth range in the data sheet of a camera.
 """
 
 

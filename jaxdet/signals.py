@@ -3,7 +3,7 @@
 An exception raised by a handler during an import, or in a callback of the garbage collector or of
 native code, is swallowed or crashes the process. A signal is therefore raised only while jaxdet's
 own code runs or waits, and is retried until then. In addition, the command has a guard
-(:func:`guard_process`), which ends the process if that takes too long. Output files get their final
+(:func:`guard_process`), which ends the process if this takes too long. Output files get their final
 name only when they are complete, so the process may end at any time.
 """
 
@@ -33,14 +33,14 @@ _WAITS = {"threading", "multiprocessing.connection", "selectors", "queue", "subp
 """Standard library modules in which jaxdet's code waits."""
 _BLOCKS = re.compile(r"waiter\.acquire\(|\block\.acquire\(block|_handle\.join\(")
 """Blocking lines of :mod:`threading`. An exception elsewhere in that module may release a lock
-inside its ``with`` block, whose end then raises another exception."""
+inside its ``with`` block; the end of this block then raises another exception."""
 _IMPORTS = {"importlib._bootstrap", "importlib._bootstrap_external", "_frozen_importlib"}
 _Handler = Callable[[int, FrameType | None], None]
 
 
 @contextmanager
 def stops_raised() -> Iterator[None]:
-    """Raise the signals as :class:`jaxdet.errors.Interrupted` inside the block.
+    """Raise :class:`jaxdet.errors.Interrupted` in the block if a signal of ``STOPS`` arrives.
 
     Ignored signals (nohup) stay ignored. Nothing changes in threads other than the main one.
     """
@@ -82,7 +82,7 @@ def stops_held_back() -> Iterator[None]:
 
 
 def ignore_stops() -> None:
-    """Ignore the signals, in processes that are ended by their parent."""
+    """Ignore the signals of ``STOPS``, in a process that is ended by its parent."""
     for number in STOPS:
         signal.signal(number, signal.SIG_IGN)
 
@@ -130,7 +130,7 @@ def _end(number: int) -> None:
     with suppress(OSError):
         os.write(2, b"\njaxdet: error: interrupted\n")
     if processes := sys.modules.get("multiprocessing"):
-        with suppress(Exception):  # in any state
+        with suppress(Exception):  # the module may be in any state
             for child in processes.active_children():
                 child.kill()
     os._exit(128 + number)

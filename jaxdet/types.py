@@ -33,7 +33,8 @@ Array = Any
 
 
 MAX_CONTOUR = 512
-"""Maximum number of points of an obstacle's contour, that is of columns of cells."""
+"""Maximum number of points of an obstacle's contour, and of columns of cells: a contour has at most
+one point per column."""
 
 MAX_SURFACES = 512
 """Maximum number of surfaces per frame; cells of additional surfaces are not labelled."""
@@ -254,7 +255,7 @@ class GroundPlane(NamedTuple):
     ``pitch`` is the camera's downward tilt, and ``roll`` its clockwise rotation about the optical
     axis seen from behind (a camera rolled clockwise sees the world rotated counter-clockwise).
     ``valid`` is False if the floor is unknown: then nothing is dropped as floor and a level camera
-    is assumed. :func:`jaxdet.flat_plane` builds one without ramps.
+    is assumed. :func:`jaxdet.flat_plane` builds planes without ramps.
     """
 
     height: np.ndarray
@@ -344,7 +345,7 @@ class Labels(NamedTuple):
     """Obstacle label of each feature (Section 3.4)."""
 
     labels: Array
-    """Labels ``(B, N)`` int32, -1 = none; numbered by nearest z, then smallest x."""
+    """Labels ``(B, N)`` int32, -1 = none; obstacles are numbered by their smallest z, then x."""
     num_obstacles: Array
     """Number of obstacles, ``(B,)`` int32."""
 
@@ -368,12 +369,12 @@ class Obstacles(NamedTuple):
     """Last column and row in that image, ``(B, M, 2)`` int32 [pixel]; -1 if the obstacle is
     outside."""
     xyz_min: Array
-    """Minimum in the camera optical frame, ``(B, M, 3)`` int32 [depth units]."""
+    """Minimum x, y, z in the camera optical frame, ``(B, M, 3)`` int32 [depth units]."""
     xyz_max: Array
-    """Maximum in the camera optical frame, ``(B, M, 3)`` int32 [depth units]."""
+    """Maximum x, y, z in the camera optical frame, ``(B, M, 3)`` int32 [depth units]."""
     xyz_sum: Array
-    """Sum in the camera optical frame, ``(B, M, 3, 2)`` int32 [depth units], as quotient (rounded
-    down) and remainder of 2^16; the centroid is sum / num_points."""
+    """Sums of x, y, z over the points, ``(B, M, 3, 2)`` int32 [depth units], as quotient (rounded
+    down) and remainder of division by 2^16; the centroid is sum / num_points."""
     a: Array
     """Leftmost point, the nearest in a tie, ``(B, M, 2)`` int32 [depth units]."""
     b: Array
@@ -386,19 +387,19 @@ class Obstacles(NamedTuple):
     """Direction of the fitted rectangle, right and forward, about 512 long, ``(B, M, 2)`` int32;
     zero for clusters of points."""
     span: Array
-    """Extent of the rectangle, ``(B, M, 4)`` int32: minimum and maximum along ``direction`` (dot
-    product), minimum and maximum across (cross product)."""
+    """Extent of the fitted rectangle, ``(B, M, 4)`` int32: minimum and maximum of the dot product
+    of ``direction`` and a point, then of their cross product [depth units x about 512]."""
     nearest: Array | None = None
     """Squared distance on the floor from the camera to the nearest point, ``(B, M, 2)`` int32
-    [depth units squared], as quotient (rounded down) and remainder of 2^18; None for obstacles made
-    of surfaces, whose contours contain the nearest point."""
+    [depth units squared], as quotient (rounded down) and remainder of division by 2^18; None for
+    obstacles made of surfaces, as their contours contain the nearest point."""
 
 
 class FreeEnd(IntEnum):
     """Reason why the free floor ends in a direction."""
 
     UNKNOWN = 0
-    """No measurement beyond, or no visible floor at all."""
+    """There is no measurement beyond the end, or no visible floor at all."""
     OBSTACLE = 1
     """An obstacle, or points above the step height that are too few for one."""
     DROP = 2
@@ -427,13 +428,13 @@ class Scene(NamedTuple):
     """Floor, contours and free floor of each frame."""
 
     floor: Array
-    """Floor in each frame's own depth, ``(B, 8)`` int32; :func:`jaxdet.floor.units.floor_fit`
-    computes planes from it and ``prior``."""
+    """Floor estimated from each frame's own depth, ``(B, 8)`` int32;
+    :func:`jaxdet.floor.units.floor_fit` computes planes from it and ``prior``."""
     prior: GroundPlane
     """Prior of each frame's floor, on the host."""
     contour: Array
-    """Visible edge of each obstacle from left to right, right and forward in the ground frame,
-    ``(B, M, C, 2)`` int32 [depth units]; C columns of cells, or 1."""
+    """Points on the visible edge of each obstacle, from left to right: coordinates (right, forward)
+    in the ground frame, ``(B, M, C, 2)`` int32 [depth units]; C columns of cells, or 1."""
     contour_points: Array
     """Number of contour points, ``(B, M)`` int32."""
     bottom_top: Array
@@ -447,7 +448,7 @@ class Scene(NamedTuple):
     """End of the free floor of each ray, ``(B, RAYS)`` int32, see :class:`FreeEnd`."""
     first_notch: Array
     """Label of the first obstacle that was found only as a notch in the free floor, ``(B,)`` int32.
-    These are labelled last, from left to right."""
+    Obstacles found only as notches have the last labels, from left to right."""
 
 
 class CellLabels(NamedTuple):

@@ -1,4 +1,4 @@
-"""Start of Warp without its output to the standard streams."""
+"""Start of Warp without output to the standard streams."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""Decompression bombs: small files whose headers demand much memory, and their effect."""
+"""Decompression bombs: small files that would take much memory or time to read."""
 
 import struct
 from collections.abc import Callable
@@ -33,8 +33,8 @@ def definition(name: str) -> bytes:
     return STORE.generate_msgdef(name, ros_version=2)[0].encode()
 
 
-def beside_a_log(path: Path, records: bytes) -> Path:
-    """Write a log of three frames with more records at the end of its data."""
+def records_after_a_log(path: Path, records: bytes) -> Path:
+    """Write a log of three frames, followed by other ``records``."""
     plain = without_end(write_log(path, make_scene(3)))
     path.write_bytes(plain + records + end())
     return path
@@ -45,28 +45,28 @@ def schema_memory(path: Path) -> Path:
     large = bytes(200 << 20)
     parts = [chunk(schema(900 + i, IMAGE, large)) for i in range(1)]
     parts += [parts[0]] * 5
-    return beside_a_log(path, b"".join(parts))
+    return records_after_a_log(path, b"".join(parts))
 
 
 def schema_text(path: Path) -> Path:
     """Write a definition of 16 MB, mostly spaces in comments and constants."""
     lines = b"uint8 a # " + b" " * (8 << 20) + b"\n" + b"uint8 A=1 \n" * (1 << 19)
     records = schema(900, IMAGE, lines) + channel(900, "/bomb", 900)
-    return beside_a_log(path, records + message(900, START, bytes(40)))
+    return records_after_a_log(path, records + message(900, START, bytes(40)))
 
 
 def schema_comment(path: Path) -> Path:
-    """Write a definition of 1 MB, the limit; the parser searches comments for units."""
+    """Write a definition of 1 MB, the maximum: a comment, which the parser searches for units."""
     lines = b"uint8 a # " + b" " * 1_000_000 + b"[\n"
     records = schema(900, IMAGE, lines) + channel(900, "/bomb", 900)
-    return beside_a_log(path, records + message(900, START, bytes(40)))
+    return records_after_a_log(path, records + message(900, START, bytes(40)))
 
 
 def schema_fields(path: Path) -> Path:
     """Write a definition of 900 kB with 100,000 fields."""
     lines = b"".join(b"uint8 a%d\n" % i for i in range(80_000))
     records = schema(900, IMAGE, lines) + channel(900, "/bomb", 900)
-    return beside_a_log(path, records + message(900, START, bytes(40)))
+    return records_after_a_log(path, records + message(900, START, bytes(40)))
 
 
 def many_topics(path: Path) -> Path:
@@ -74,17 +74,17 @@ def many_topics(path: Path) -> Path:
     records = [schema(900, IMAGE, definition(IMAGE))]
     for i in range(2000, 62_000):
         records.append(channel(i, f"/t{i}", 900) + message(i, START, bytes(8)))
-    return beside_a_log(path, chunk(b"".join(records)))
+    return records_after_a_log(path, chunk(b"".join(records)))
 
 
 def empty_images(path: Path) -> Path:
     """Write 3 million empty images in one chunk."""
     head = schema(900, IMAGE, definition(IMAGE)) + channel(900, "/bomb", 900)
-    return beside_a_log(path, chunk(head + message(900, START, b"") * 3_000_000))
+    return records_after_a_log(path, chunk(head + message(900, START, b"") * 3_000_000))
 
 
 def tiny_images(path: Path) -> Path:
-    """Write a million colour images with timestamps but without pixels, on the used topic."""
+    """Write a million images with timestamps but without pixels, on the colour topic of a log."""
     with LogFile(path) as log:
         write_calibration(log)
         write_images(log, make_scene(2))
@@ -102,30 +102,30 @@ def tiny_images(path: Path) -> Path:
 def empty_transforms(path: Path) -> Path:
     """Write 3 million TF messages in one chunk."""
     head = schema(900, TF, definition(TF)) + channel(900, "/tf", 900)
-    return beside_a_log(path, chunk(head + message(900, START, bytes(8)) * 3_000_000))
+    return records_after_a_log(path, chunk(head + message(900, START, bytes(8)) * 3_000_000))
 
 
 def one_large_transform(path: Path) -> Path:
     """Write a TF message with a million transforms."""
     head = schema(900, TF, definition(TF)) + channel(900, "/tf", 900)
     body = b"\0\1\0\0" + struct.pack("<I", 1_000_000) + bytes(88_000_000)
-    return beside_a_log(path, chunk(head + message(900, START, body)))
+    return records_after_a_log(path, chunk(head + message(900, START, body)))
 
 
 def many_messages(path: Path) -> Path:
-    """Write 4 million messages that are not used."""
+    """Write 4 million messages on a topic that is not used."""
     head = schema(900, "a/b", b"uint8 x") + channel(900, "/bomb", 900)
-    return beside_a_log(path, chunk(head + message(900, START, b"") * 4_000_000))
+    return records_after_a_log(path, chunk(head + message(900, START, b"") * 4_000_000))
 
 
 def empty_records(path: Path) -> Path:
     """Write a million empty records between the chunks."""
-    return beside_a_log(path, record(0x80, b"") * 1_000_000)
+    return records_after_a_log(path, record(0x80, b"") * 1_000_000)
 
 
 def empty_records_inside(path: Path) -> Path:
     """Write 4 million empty records in a chunk."""
-    return beside_a_log(path, chunk(record(0x80, b"") * 4_000_000))
+    return records_after_a_log(path, chunk(record(0x80, b"") * 4_000_000))
 
 
 def summary_bomb(path: Path) -> Path:
@@ -139,7 +139,7 @@ def summary_bomb(path: Path) -> Path:
 
 
 def rvl(path: Path, size: tuple[int, int], stream: bytes) -> Path:
-    """Write RVL depth whose header has ``size``, in a log of small images."""
+    """Write depth images whose RVL header states ``size``, in a log of small images."""
     scene = make_scene(2)
     with LogFile(path) as log:
         write_calibration(log)
@@ -152,7 +152,7 @@ def rvl(path: Path, size: tuple[int, int], stream: bytes) -> Path:
 
 
 def rvl_tail(path: Path) -> Path:
-    """Write an image of the right size, followed by 200 MB."""
+    """Write RVL images of the right size, each with 200 MB of data."""
     return rvl(path, (32, 24), bytes(200 << 20))
 
 
@@ -162,7 +162,7 @@ def rvl_pixels(path: Path) -> Path:
 
 
 def image_pixels(path: Path) -> Path:
-    """Write images and a calibration of 5700x5700 pixels, without the pixels."""
+    """Write images that state 5700x5700 pixels but contain one, and a calibration of that size."""
     with LogFile(path) as log:
         log.ros("/cam/color/camera_info", ros_info((5700, 5700), COLOR_K, START, "a"), START)
         for at in range(START, START + 40):

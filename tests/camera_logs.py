@@ -7,7 +7,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 NAMESPACE = "/camera/camera/"
-"""Prefixes of the topics of a simulated log."""
+"""Prefix of the topics of a simulated log."""
 
 
 def join_cameras(
@@ -18,7 +18,7 @@ def join_cameras(
 ) -> Path:
     """Write the cameras of several logs, under new names, and the other topics of the first log.
 
-    Log times are delayed by ``late_ns``; topics for which ``without`` is true are left out.
+    Log times are delayed by ``late_ns``. Topics for which ``without`` returns True are left out.
     """
     with path.open("wb") as stream:
         writer = Writer(stream)

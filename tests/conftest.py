@@ -81,7 +81,7 @@ def shared_data() -> Path:
 
 
 def _results_of(log: Path, folder: Path, pictures: int) -> Path:
-    """Run a log with the defaults of the command and a number of pictures."""
+    """Run a log with the command's defaults and ``pictures`` pictures; return the results."""
     from tests.runs import run_log
 
     run_log(log, folder, pictures=pictures, preset="wheeled")

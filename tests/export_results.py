@@ -39,9 +39,9 @@ def by_hand(folder: Path, frames: list[tuple], ends: int = 0) -> Path:
 
     Args:
         folder: Folder of the results.
-        frames: For each frame, the centres of obstacles, right and forward [m], each 0.2 m wide,
-            and the distance of free floor ahead, 0.5 m to each side at 1 m; optionally also values
-            that replace those of columns, by name.
+        frames: For each frame: the centres of obstacles, right and forward [m], each 0.2 m wide;
+            the forward distance up to which floor is free [m], in rays up to 26 degrees to each
+            side; and optionally columns that replace those of the tables, by name.
         ends: Kind of end of the free floor, ``free_end``.
     """
     folder.mkdir(parents=True, exist_ok=True)

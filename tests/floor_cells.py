@@ -19,7 +19,8 @@ BOXES: list[Box] = [
     ((0.3, 1.8, 0.0), (0.9, 2.2, 0.6)),
     ((-4.0, 3.5, 0.0), (4.0, 3.6, 2.5)),
 ]
-"""Two boxes and a wall behind them: corners to the right, forward and up on the floor [m]."""
+"""Two boxes and a wall behind them. Each has two opposite corners: right, forward and up from the
+ground projection of the camera [m]."""
 
 
 class Pose(NamedTuple):
@@ -30,7 +31,7 @@ class Pose(NamedTuple):
     roll: float
 
     def plane(self, height: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> GroundPlane:
-        """Return the pose as a prior with these errors."""
+        """Return the pose as a prior, with the given errors [m, degree]."""
         angles = np.radians([[self.pitch + pitch], [self.roll + roll]])
         return flat_plane(np.array([self.height + height]), *angles)
 
@@ -41,7 +42,7 @@ POSES = [Pose(0.3, 10, 1), Pose(0.62, 19, 10), Pose(0.62, 19, -10), Pose(1.2, 35
 def cast(
     pose: Pose, boxes: list[Box], *, ramp: tuple[float, float] | None = None, floor: bool = True
 ) -> np.ndarray:
-    """Return the depth of a floor, boxes and an optional ramp (start [m], slope), ``(R, C)``."""
+    """Return the depth of a floor, boxes and a ramp (start [m], slope) if given, ``(R, C)`` [m]."""
     x, y = pixel_rays(CAMERA)
     rays = np.stack([x, y, np.ones_like(x)], axis=-1)
     down = down_vector(*np.radians([[pose.pitch], [pose.roll]]))
@@ -64,14 +65,14 @@ def cast(
 
 
 def cast_step(pose: Pose, drop: float, start: float) -> np.ndarray:
-    """Return the depth of a floor with a step of ``drop`` at ``start`` [m], and a box before it."""
+    """Return the depth of a floor with a step of ``drop`` at ``start`` and a box before it [m]."""
     low = pose._replace(height=pose.height + drop)
     box = (-0.3, start - 0.5, drop), (0.1, start - 0.2, drop + 0.3)
     return cast(low, [((-9.0, -1.0, 0.0), (9.0, start, drop)), box])
 
 
 def measured(z: np.ndarray, seed: int = 0, noise: float = 0.002) -> np.ndarray:
-    """Return the depth with the noise and holes of a stereo camera [mm]."""
+    """Return the image [mm] that a stereo camera measures of depth [m], with noise and holes."""
     rng = np.random.default_rng(seed)
     z = np.minimum(z, 20)
     z = z + rng.normal(0, 1, z.shape) * noise * z * z
@@ -89,7 +90,7 @@ def positions(z: np.ndarray, camera: Intrinsics, step: int = 1) -> list[np.ndarr
 
 
 def found(z: np.ndarray, prior: GroundPlane, config: FloorConfig = CONFIG) -> FloorFit:
-    """Return the floor of one synthetic frame."""
+    """Return the floor that the reference finds in one synthetic frame."""
     return find_floor(*positions(z[None], CAMERA), prior, config, UNIT)
 
 

@@ -204,7 +204,7 @@ def ros_odometry(parent: str, child: str, t: Any, q: Any, stamp_ns: int) -> Any:
 
 
 class Scene(NamedTuple):
-    """Random images with timestamps; depth is some milliseconds early."""
+    """Random images with timestamps; depth is some milliseconds earlier than colour."""
 
     color: np.ndarray
     depth: np.ndarray

@@ -1,7 +1,7 @@
 """End processes right before a chosen system call of a function.
 
-``tests/killed_runs.py`` uses it, as only a process without threads can fork. Nothing is flushed to
-the disk, which is slow and not needed to survive the end of a process.
+``tests/killed_runs.py`` calls this module, because only a process without threads can fork. Files
+are not flushed to the disk: that is slow, and files survive the end of a process without it.
 """
 
 import os
@@ -17,7 +17,9 @@ CALLS = ("replace", "rename", "fsync", "mkdir", "unlink", "rmdir")
 def killed_at(call: int, function: Callable[[], Any]) -> bool:
     """Call a function in a child process that ends right before system call number ``call``.
 
-    Return whether the function made so many calls."""
+    Returns:
+        Whether the function made more than ``call`` system calls, and so was ended.
+    """
     child = os.fork()
     if not child:
         count = 0

@@ -1,4 +1,4 @@
-"""Imitation of other machines, by the variables from which libraries read CPU features.
+"""Imitation of other machines, by environment variables that restrict the CPU features in use.
 
 Run as a script it prints one line per environment: digests of tables, or the columns that differ
 from those of the first one.
@@ -24,7 +24,7 @@ BLAS = ("Prescott", "Nehalem", "Haswell", "SkylakeX")
 """Kernels of OpenBLAS, from SSE3 to AVX-512."""
 V4 = ("X86_V4", "AVX512_ICL", "AVX512_SPR")
 V3 = ("X86_V3", *V4)
-"""CPU features that select loops of NumPy, above its baseline."""
+"""CPU features beyond NumPy's baseline, for which NumPy has separate loops."""
 LIBC = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F"}
 OPENCV = {"OPENCV_CPU_DISABLE": "AVX2,AVX512F,AVX512-SKX,FP16,SSE4_2"}
 PLAINEST: Environment = {
@@ -33,11 +33,11 @@ PLAINEST: Environment = {
     **LIBC,
     **OPENCV,
 }
-"""The smallest machine on which all libraries run."""
+"""The machine with the fewest CPU features on which all libraries run."""
 
 
 def environments() -> list[Environment]:
-    """Return all combinations; the first leaves the machine as it is."""
+    """Return the environments of all combinations of variables; the first one is empty."""
     variables = (
         [{}, *({"OPENBLAS_CORETYPE": kind} for kind in BLAS)],
         [{}, *({"NPY_DISABLE_CPU_FEATURES": " ".join(names)} for names in (V4, V3))],
@@ -57,7 +57,7 @@ def can_run(environment: Environment) -> bool:
 
 
 def run(arguments: list[str], environment: Environment) -> subprocess.CompletedProcess[str]:
-    """Run this Python in an environment, warnings of features that NumPy lacks silenced."""
+    """Run this Python in an environment, without NumPy's warnings of features that it lacks."""
     variables = {**os.environ, **environment}
     command = [sys.executable, "-P", "-W", "ignore::ImportWarning", *arguments]
     return subprocess.run(command, env=variables, capture_output=True, text=True, check=False)

@@ -45,7 +45,7 @@ def nothing(count: int) -> Any:
     return detect(frames, Config(GroundConfig(source="none")), backend="reference")
 
 
-def detect_nothing(frames: Any, config: Config, backend: str) -> Any:
+def detect_nothing(frames: Any, config: Config, **how: Any) -> Any:
     """Return detections without obstacles."""
     return nothing(len(frames.valid))
 

@@ -1,4 +1,4 @@
-"""Runs with workers: comparison of results, and the CPU in place of a GPU."""
+"""Helpers for tests of runs with workers: comparison of results, and the CPU in place of a GPU."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +13,7 @@ from jaxdet.stages import _upload
 
 
 def same_results(one: Path, other: Path) -> None:
-    """Assert that results are equal, except for times and their checksum."""
+    """Assert that results are equal, except for times and the checksums of files with times."""
     names = [path.relative_to(one) for path in sorted(one.rglob("*")) if path.is_file()]
     assert names == [p.relative_to(other) for p in sorted(other.rglob("*")) if p.is_file()]
     for name in names:
@@ -22,7 +22,7 @@ def same_results(one: Path, other: Path) -> None:
 
 
 def on_this_machine(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Use the code for GPUs with the CPU; return a list of the sizes of copies."""
+    """Use the code for GPUs on the CPU; return a list to which each copy appends its size."""
     copies = []
 
     def copy(

@@ -48,7 +48,7 @@ class Message:
         }
 
     def delay(self, late_ns: int) -> None:
-        """Change the stamps of all headers in the message."""
+        """Delay the timestamps of all headers in the message by ``late_ns``."""
         for header in _headers(self.body):
             at = header["stamp"]["sec"] * 10**9 + header["stamp"]["nanosec"] + late_ns
             header["stamp"] = {"sec": at // 10**9, "nanosec": at % 10**9}

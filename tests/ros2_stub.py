@@ -69,14 +69,14 @@ def _header(stamp_ns: int, frame_id: str) -> Any:
 
 
 class Node:
-    """``rclpy.node.Node``.
+    """Stub of ``rclpy.node.Node``.
 
     Attributes:
         parameters: Values that are set from outside, by name.
-        remaps: Topics by the names in the node.
+        remaps: Topics by the names that the node uses for them.
         transforms: Poses ``(4, 4)`` by target and source frame, for ``tf2_ros``.
         published: Messages by topic, in order.
-        qos: QoS profiles by topic, or depths.
+        qos: QoS profiles, or depths of queues, by topic.
         warnings: Logged warnings.
         infos: Other logged lines.
     """
@@ -134,7 +134,7 @@ class Node:
 
 
 class Subscriber:
-    """``message_filters.Subscriber``."""
+    """Stub of ``message_filters.Subscriber``."""
 
     def __init__(self, node: Node, kind: type, topic: str, qos_profile: Any) -> None:
         self._callbacks: list[tuple[Callable[..., None], tuple]] = []
@@ -149,7 +149,7 @@ class Subscriber:
 
 
 class ApproximateTimeSynchronizer:
-    """``message_filters.ApproximateTimeSynchronizer`` of two subscribers."""
+    """Stub of ``message_filters.ApproximateTimeSynchronizer``, for two subscribers."""
 
     def __init__(self, subscribers: list[Subscriber], queue_size: int, slop: float) -> None:
         self._slop_ns, self._size = slop * 1e9, queue_size
@@ -174,11 +174,11 @@ class ApproximateTimeSynchronizer:
 
 
 class TransformException(Exception):  # noqa: N818
-    """``tf2_ros.TransformException``."""
+    """Stub of ``tf2_ros.TransformException``."""
 
 
 class Buffer:
-    """``tf2_ros.Buffer``, filled by its listener."""
+    """Stub of ``tf2_ros.Buffer``, which its listener fills."""
 
     transforms: dict[tuple[str, str], Any]
 
@@ -206,8 +206,8 @@ def install(
     """Put the stub in place of ROS 2, and return the node that ``rclpy`` will create.
 
     Args:
-        patch: Removes the stub after the test.
-        spin: Called when an executor spins; False shuts ROS 2 down.
+        patch: Fixture that removes the stub after the test.
+        spin: Function that is called when an executor spins; if it returns False, ROS 2 shuts down.
         parameters: Parameters of the node.
     """
     node = Node(parameters, {"depth": "/cam/depth/image", "camera_info": "/cam/depth/camera_info"})

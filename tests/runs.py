@@ -8,10 +8,8 @@ from jaxdet.config import Config
 
 
 def run_logs(logs: Any, output: Path, config: Config | None = None, **options: Any) -> Any:
-    """Run logs with arguments of :class:`jaxdet.Runner` and of its ``run``; return the summary."""
-    own = ("backend", "workers", "memory")
-    resources = {name: options.pop(name) for name in own if name in options}
-    with engine.Runner(**resources) as runner:
+    """Run logs with arguments of :meth:`jaxdet.Runner.run`; return the summary."""
+    with engine.Runner(backend=options.get("backend", "jax")) as runner:
         return runner.run(logs, output, config or Config(), **options)
 
 

@@ -11,7 +11,7 @@ def tallies(rows):
 
 
 def frame_truth():
-    """Return a frame with three obstacles 0.3 m apart, the third 1 m behind, and a wall between."""
+    """Return a frame with three obstacles 0.3 m apart, the third 1 m behind, and a wall."""
     low = np.array([[[0, 1], [0.8, 1.05], [1.6, 2.0], [0.5, 1]]], float)
     outline = np.full((1, 4, 6, 2), np.nan)
     for j, (x, y) in enumerate(low[0]):

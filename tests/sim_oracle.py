@@ -6,14 +6,14 @@ from jaxdet.types import Intrinsics
 
 
 def rays_of(camera: Intrinsics, T_world_camera: np.ndarray) -> np.ndarray:
-    """Return directions ``(H, W, 3)`` in the world, 1 along the optical axis."""
+    """Return directions ``(H, W, 3)`` in the world, of length 1 along the optical axis."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)])
     return np.moveaxis(local, 0, -1) @ T_world_camera[:3, :3].T
 
 
 def floor_depth(origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Return the depth of z = 0."""
+    """Return the depth of the floor z = 0."""
     with np.errstate(divide="ignore"):
         depth = -origin[2] / rays[..., 2]
     return np.where(depth > 0, depth, np.inf)

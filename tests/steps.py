@@ -151,7 +151,7 @@ def outlines(
     tables: Tables,
     side: int,
 ) -> Outlined:
-    """Run ``find_outlines``; ``floor`` is right, forward and height of the cells."""
+    """Run ``find_outlines``; ``floor`` contains right, forward and height of the cells."""
     names = "right", "forward", "height"
     given = {**grid._asdict(), **dict(zip(names, floor, strict=True))}
     given |= {"label": label, "num_obstacles": count}
@@ -180,7 +180,7 @@ def free_floor(
     frame: np.ndarray,
     tables: Tables,
 ) -> FreeFloor:
-    """Run ``find_free_floor``; return obstacles in its notches, its range and kinds of end."""
+    """Run ``find_free_floor``; return free floor, and obstacles with those in its notches."""
     given = {"label": label, "low": low, "z": z, "nearest_pixel": nearest, "frame": frame}
     given |= dict(zip(("right", "forward", "height"), floor, strict=True))
     given["num_obstacles"] = label.max(axis=(1, 2), initial=-1).astype(np.int32) + 1

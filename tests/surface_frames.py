@@ -96,7 +96,7 @@ def recorded_config(name: str) -> Config:
 
 
 def grid_calibration(rows: int, columns: int) -> Calibration:
-    """Return a camera with a number of cells, and a colour camera that sees a part of them."""
+    """Return a depth camera with this grid of cells, and a colour camera that sees a part of it."""
     side, focal = 3, 3 / SURFACES.surface.cell_rad
     width, height = columns * side, rows * side
     depth = Intrinsics(width, height, focal, focal, width / 2, height / 2)
@@ -110,11 +110,11 @@ def drawn(
     """Return random frames whose obstacles are made of square blocks.
 
     Args:
-        shape: ``(B, R, C)``.
-        obstacles: Largest number of obstacles per frame.
+        shape: Numbers of frames, rows and columns, ``(B, R, C)``.
+        obstacles: Maximum number of obstacles per frame.
         seed: Seed of labels and positions.
-        reach: Largest coordinate [depth units].
-        block: Side of a block.
+        reach: Maximum coordinate [depth units].
+        block: Side of a block [cell].
     """
     rng = np.random.default_rng(seed)
     batch, rows, columns = shape
@@ -136,7 +136,7 @@ def drawn(
 
 
 def with_floor(batch: Batch, seed: int, far: int, step: int) -> Batch:
-    """Return the batch with positions on a floor that has steps down, from bottom to top.
+    """Return the batch with cells on a floor that steps down with distance.
 
     Args:
         batch: Frames.

@@ -46,7 +46,7 @@ def test_evidence_is_the_offset_plus_the_leaves_reached() -> None:
 
 @pytest.mark.parametrize("name", AFFINITIES)
 @given(seen=pairs_seen)
-def test_evidence_equals_walking_each_tree(name: str, seen: list[int]) -> None:
+def test_evidence_equals_that_found_by_walking_each_tree(name: str, seen: list[int]) -> None:
     table = affinity(name, UNIT)
     assert evidence(np.array([seen]), table).tolist() == [walked(np.array(seen), table)]
 

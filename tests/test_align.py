@@ -1,4 +1,4 @@
-"""align: examples by hand, compared with librealsense, and the kernel against the reference."""
+"""align: examples by hand, and comparisons with librealsense and of kernel and reference."""
 
 import cv2
 import numpy as np
@@ -39,7 +39,7 @@ def still(shift_x: float) -> Calibration:
 
 
 @BACKENDS
-def test_identity_keeps_every_pixel(align):
+def test_the_identity_transform_keeps_every_pixel(align):
     depth = noise_depth(2, still(0).depth)
     aligned = align(depth, still(0))
     assert np.array_equal(aligned.depth, depth)
@@ -240,7 +240,7 @@ def test_aligned_depth_equals_the_reference_at_a_few_requested_pixels(device, le
 def test_no_tile_that_covers_a_requested_pixel_is_skipped(device, lens):
     """Surfaces are near and far, rotations and translations between the cameras small and large.
 
-    Smooth depth makes the intervals of a tile narrow, so that most tiles are skipped.
+    Smooth depth makes the range of depths in a tile narrow, so that most tiles are skipped.
     """
     rng, hits = np.random.default_rng(7), 0
     for distance in (2, 20, 200, 2000, 20000):

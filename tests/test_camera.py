@@ -31,7 +31,7 @@ def test_rays_project_back_to_their_pixels_by_opencv(lens):
     assert np.abs(pixels - np.stack([u, v], axis=1)).max() < 1e-6
 
 
-def test_inverse_brown_conrady_equals_its_formula():
+def test_the_inverse_brown_conrady_model_equals_its_formula():
     camera = with_lens(D435_COLOR, "inverse")
     x, y = undistort(np.array([0.2]), np.array([-0.1]), camera)
     k1, k2, p1, p2, k3 = camera.coefficients
@@ -85,13 +85,13 @@ def test_depth_pixels_fill_the_colour_pixels_between_their_corners_if_coarser(de
     assert splat_parameters(calibration).fills_corners is fills
 
 
-def test_fixed_rays_are_rounded():
+def test_fixed_point_rays_are_rounded():
     x, y = fixed_rays(D435_COLOR)
     assert x.dtype == y.dtype == np.int32
     assert np.abs(x / 2**20 - pixel_rays(D435_COLOR)[0]).max() <= 2**-21
 
 
-def test_tables_are_cached_and_read_only():
+def test_tables_of_rays_are_cached_and_read_only():
     x, _ = pixel_rays(D435_COLOR)
     assert pixel_rays(D435_COLOR._replace())[0] is x
     with pytest.raises(ValueError, match="read-only"):

@@ -30,7 +30,7 @@ from tests.scenes import (
 )
 
 TWO = SurfaceConfig(cell_rad=0.02, step_m=0.01, step_per_m=0.0)
-"""Cells of 2 x 2 pixels of CAMERA, depths within 10 mm of each other."""
+"""Configuration with cells of 2 x 2 pixels of CAMERA and a step of 10 mm at any depth."""
 CAMERA = Intrinsics(5, 4, 100.0, 100.0, 1.5, 1.5)
 THREE = SurfaceConfig(cell_rad=0.0078)
 
@@ -80,7 +80,7 @@ def test_depth_of_a_cell_is_the_mean_near_its_lower_median(
     assert one_cell(block) == depth
 
 
-def test_step_grows_with_depth_squared() -> None:
+def test_the_step_within_a_cell_grows_with_depth_squared() -> None:
     config = SurfaceConfig(cell_rad=0.02, step_m=0.01, step_per_m=0.01)
     assert one_cell([[1000, 1020], [1021, 1021]], config) == 1016  # step: 20 mm at 1.02 m
     assert one_cell([[3000, 3100], [3100, 3100]], config) == 3075  # step: 106 mm at 3.1 m
@@ -93,7 +93,7 @@ def test_step_grows_with_depth_squared() -> None:
 def test_the_step_height_grows_less_for_cells_with_more_pixels(
     focal: float, side: int, at_4_m: int
 ) -> None:
-    """The height is 5 cm, plus 3 mm per metre divided by the side of a cell in the depth camera."""
+    """The height is 5 cm, plus 3 mm per metre of depth divided by the side of a cell [pixel]."""
     config = Config(GroundConfig(step_height_m=0.05, step_height_per_m=0.003), surface=THREE)
     camera = Intrinsics(640, 480, focal, focal, 319.5, 239.5)
     steps = step_height(Calibration(camera), config).table
@@ -156,7 +156,7 @@ def test_position_lies_on_the_ray_through_the_centre() -> None:
 @pytest.mark.parametrize("color_scale", [0.5, 1.0, 2.5])
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.0, 0.74, 0.59)])
 def test_box_contains_the_projected_pixels(color_scale: float, turn: tuple) -> None:
-    """Boxes contain the aligned pixels of single cells; for a rotated camera, within a pixel."""
+    """With a rotated colour camera, aligned pixels may be one pixel outside of their cell's box."""
     motion = Extrinsics(rotation(*turn), (0.0143, 0.0006, 0.0006))
     calibration = small(color_scale=color_scale)._replace(color_from_depth=motion)
     config = SurfaceConfig(cell_rad=4 / calibration.depth.fx)

@@ -266,7 +266,7 @@ def test_a_batch_has_at_most_65536_frames():
 
 
 ANY = math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-45, 1e39, 1e308, -1e9, 1e5, 3.0
-"""Numbers that damaged calibrations hold."""
+"""Numbers that damaged calibrations contain."""
 
 
 def mutated(calibration: Calibration, rng: random.Random) -> Calibration:

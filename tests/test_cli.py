@@ -11,7 +11,6 @@ import subprocess
 import sys
 import typing
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -70,7 +69,7 @@ def wide(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "120")
 
 
-def test_help_is_short_and_help_all_has_the_rest(capsys: Captured) -> None:
+def test_help_is_short_and_help_all_is_complete(capsys: Captured) -> None:
     for command, most in (("run", 64), ("info", 34), ("sim", 34)):
         main([command, "--help"])
         brief = capsys.readouterr().out
@@ -99,8 +98,8 @@ def test_help_is_as_wide_as_the_terminal(
 def test_short_flags_equal_long_ones(tmp_path: Path, capsys: Captured) -> None:
     command = parse(["-q", "a", "-o", "x", "-y", "b", "--", "-o", "--c_d"])
     assert command.logs == ("a", "b", "-o", "--c_d")
-    assert (command.run.output, command.run.overwrite, command.quiet) == (Path("x"), True, True)
-    assert parse(["a", "-o=x"]).run.output == Path("x")
+    assert (command.output, command.run.overwrite, command.quiet) == (Path("x"), True, True)
+    assert parse(["a", "-o=x"]).output == Path("x")
     main(["run", "--help"])
     text = capsys.readouterr().out
     assert "\n  -o, --output DIR  " in text and "\n  -y, --overwrite  " in text
@@ -116,7 +115,9 @@ def test_short_flags_equal_long_ones(tmp_path: Path, capsys: Captured) -> None:
     assert "unknown flag -qy; see" in capsys.readouterr().err
 
 
-def test_progress_on_a_dumb_terminal_is_complete_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_on_a_dumb_terminal_is_printed_in_complete_lines(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Terminals such as Emacs' shell cannot overwrite a line."""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("TERM", "xterm")
@@ -172,7 +173,7 @@ def test_help_command_shows_commands_and_pages(capsys: Captured) -> None:
         ("jaxdet fly --", set()),
     ],
 )
-def test_completions_of_a_word(
+def test_the_last_word_of_a_command_is_completed(
     line: str, offered: set[str], capsys: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COMP_LINE", line + " --quiet")
@@ -205,11 +206,11 @@ SHELLS = {
         ["foxglove"],
     ),
 }
-"""Flags, a script and what it prints, for each shell."""
+"""Flags of the shell, a script, and the words that the script prints, by shell."""
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_completion_in_a_shell(shell: str, tmp_path: Path) -> None:
+def test_words_are_completed_in_each_shell(shell: str, tmp_path: Path) -> None:
     if not shutil.which(shell):
         pytest.skip(f"no {shell} here")
     program = tmp_path / "jaxdet"
@@ -254,7 +255,7 @@ def test_angles_are_given_in_degrees_or_radians(
 
 
 SECTIONS = {field.name: type(getattr(Config(), field.name)) for field in fields(Config)}
-SECTIONS |= {"log": LogOptions, "run": partial(RunOptions, Path("x"))}
+SECTIONS |= {"log": LogOptions, "run": RunOptions}
 MAY_BE_NEGATIVE = {"canny_low", "canny_high", "camera_pitch_rad", "camera_roll_rad"}
 MAY_BE_NEGATIVE |= {"color_offset_s", "pose_offset_s"}
 
@@ -264,7 +265,7 @@ def test_implausible_numbers_are_usage_errors(section: str) -> None:
     """Flags, files and Python refuse -1, infinity and NaN for lengths and counts."""
     make = SECTIONS[section]
     height = {"camera_height_m": 0.3, "camera_pitch_rad": 0.0} if section == "ground" else {}
-    hints = typing.get_type_hints(getattr(make, "func", make))
+    hints = typing.get_type_hints(make)
     for name, hint in hints.items():
         numbers = {int: (-1,), float: (-1.0, math.nan, math.inf, 1e300)}
         kinds = [kind for kind in numbers if hint is kind or kind in typing.get_args(hint)]
@@ -440,7 +441,7 @@ def test_values_may_begin_with_a_minus_sign(tmp_path: Path) -> None:
     assert command.log.color_from_depth == (-0.1, -2.0, -1e-3, 0.0, 0.0, 0.0, 1.0)
     assert command.method.ground.camera_pitch_rad == -math.radians(10)
     assert (command.run.pictures, command.log.tf) == (2, False)
-    assert (command.log.depth_aligned, command.run.output) == (None, Path("x"))
+    assert (command.log.depth_aligned, command.output) == (None, Path("x"))
     again = ["a", "--output", "x", "--log.depth-aligned", "--log.no-depth-aligned"]
     assert parse(again).log.depth_aligned is False
     file = tmp_path / "a.toml"
@@ -469,7 +470,7 @@ def test_flags_override_the_file_which_overrides_the_preset(tmp_path: Path) -> N
     assert parse([*args, "--preset=zed"]).method.ground == PRESETS["zed"].ground
 
 
-def test_both_gaps_follow_the_robots_width() -> None:
+def test_the_robots_width_sets_both_gaps() -> None:
     args = ["a.mcap", "--output", "x", "--preset", "paper", "--cluster.robot-width-m", "0.4"]
     assert parse(args).method.cluster.gaps_m == (0.4, 0.4)
     with pytest.raises(ConfigError, match="depth-gap-m must be unset"):
@@ -605,7 +606,7 @@ def test_missing_ground_truth_is_an_error_before_the_run(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
 @pytest.mark.parametrize("streams", ["", "2>/dev/full", "2>&-", "<&- >&- 2>&-"])
-def test_a_run_succeeds_if_its_streams_cannot_be_used(
+def test_a_run_succeeds_if_its_standard_streams_cannot_be_used(
     sim_log: Path, tmp_path: Path, streams: str
 ) -> None:
     """The reader of a pipe has ended, the disk is full, or streams are closed."""
@@ -661,7 +662,7 @@ def test_info_shows_which_topics_are_used_and_why(sim_log: Path, capsys: Capture
     assert json.loads(capsys.readouterr().out)["logs"][0]["frames"] == 2
 
 
-def test_sim_draws_hard_scenes(tmp_path: Path, capsys: Captured) -> None:
+def test_sim_writes_hard_scenes_with_errors_of_the_mount(tmp_path: Path, capsys: Captured) -> None:
     path = tmp_path / "hard.mcap"
     args = ["sim", str(path), "--frames", "1", "--width", "64", "--height", "48"]
     errors = ["--depth-error", "1", "--mount-pitch-error-rad", "0.02", "--rock-rad", "0.01"]

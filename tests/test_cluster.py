@@ -1,4 +1,4 @@
-"""cluster: examples by hand, compared with SciPy's single linkage, and kernel against reference."""
+"""cluster: examples by hand, and comparisons with SciPy and of kernel and reference."""
 
 from dataclasses import replace
 
@@ -57,7 +57,7 @@ def test_gaps_in_depth_separate_sets(backend):
 
 @BACKENDS
 def test_a_chain_longer_than_the_gap_is_one_set(backend):
-    """The text rule (Step 3, Eq. 6), which the printed Algorithm 1 contradicts."""
+    """This is the rule of the paper's text (Step 3, Eq. 6); its Algorithm 1 contradicts it."""
     z = np.arange(11) * 100 + 500
     assert labels(backend, points(0 * z, z), config()) == [[0] * 11]
 
@@ -77,7 +77,7 @@ def test_sets_of_min_points_or_fewer_are_dropped(backend):
 
 
 @BACKENDS
-def test_order_is_nearest_depth_then_smallest_x(backend):
+def test_clusters_are_ordered_by_nearest_depth_then_smallest_x(backend):
     x = [900, 910, 920, 0, 10, 20, -900, -890, -880]
     z = [600, 650, 650, 600, 650, 650, 599, 650, 650]
     assert labels(backend, points(x, z), config()) == [[2, 2, 2, 1, 1, 1, 0, 0, 0]]
@@ -114,7 +114,7 @@ def test_gap_and_robots_width_together_are_an_error(gap):
         ClusterConfig(robot_width_m=0.5, **{gap: 0.5})
 
 
-def test_gaps_without_robots_width_are_those_that_were_chosen():
+def test_gaps_that_are_not_given_have_their_defaults():
     assert ClusterConfig().gaps_m == (0.15, 0.27)
     assert ClusterConfig(depth_gap_m=0.0).gaps_m == (0.0, 0.27)
     assert ClusterConfig(lateral_gap_m=1.0).gaps_m == (0.15, 1.0)
@@ -129,7 +129,7 @@ def test_values_out_of_range_are_errors_that_name_the_flag():
 
 
 def single_linkage(x: np.ndarray, z: np.ndarray, settings_: Config) -> list[frozenset[int]]:
-    """Single linkage along z, then along x within each set, as index sets."""
+    """Return the sets of indices by single linkage along z, then along x within each set."""
 
     def split(index: np.ndarray, axis: np.ndarray, gap_m: float) -> list[np.ndarray]:
         if len(index) < 2:
@@ -149,7 +149,7 @@ def single_linkage(x: np.ndarray, z: np.ndarray, settings_: Config) -> list[froz
 @pytest.mark.parametrize("count", [1, 30, 1000])
 @pytest.mark.parametrize("gaps", [(1, 5), (8, 100), (40, 20), (100, 400)])
 @BACKENDS
-def test_same_partition_as_scipy(backend, count, gaps):
+def test_clusters_are_those_of_scipy(backend, count, gaps):
     rng = np.random.default_rng(count)
     x, z = rng.integers(-2000, 2000, count), rng.integers(300, 4000, count)
     settings_ = config(*gaps, min_points=2)

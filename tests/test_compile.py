@@ -37,7 +37,7 @@ wp.compile_aot_module = stopped
 
 
 def start(cache: Path, code: str = LOAD + LAUNCH, cwd: Path | None = None) -> subprocess.Popen[str]:
-    """Start a process that loads kernels from its own cache."""
+    """Start a process that loads kernels from the folder ``cache``."""
     named = {"WARP_CACHE_PATH": str(cache), "PYTHONPATH": os.pathsep.join(sys.path)}
     command, env = [sys.executable, "-P", "-c", code], {**os.environ, **named}
     pipe = subprocess.PIPE

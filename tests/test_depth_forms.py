@@ -31,7 +31,7 @@ def test_depth_in_metres_gives_the_rows_of_depth_in_millimetres(tables):
 
 
 def test_aligned_depth_finds_the_same_obstacles(tables):
-    """Its noise is drawn separately, so positions differ by the noise of the sensor."""
+    """The noise of aligned depth is drawn separately, so positions differ by that noise."""
     raw, aligned = (tables[form][1].to_pylist() for form in ("raw", "aligned"))
     assert abs(len(raw) - len(aligned)) <= 0.15 * len(raw)
     matched = 0

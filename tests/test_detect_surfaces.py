@@ -61,7 +61,7 @@ def made(depth_m: np.ndarray, plane: GroundPlane | None, unit: float = 0.001) ->
 
 
 def of(frame: SimFrame, wrong_deg: float = 0.0) -> Frames:
-    """Return a simulated frame with its floor as prior, with an error of pitch."""
+    """Return a simulated frame whose prior is its floor, with an error of pitch [degree]."""
     assert frame.depth is not None
     plane = frame.plane._replace(pitch=frame.plane.pitch + np.radians(wrong_deg))
     calibration = calibration_of(frame.config)
@@ -115,7 +115,7 @@ def test_a_box_in_exact_depth_is_found_with_its_size() -> None:
     assert floors(scene, UNIT).plane.height[0] == pytest.approx(POSE.height, abs=0.004)
 
 
-def test_a_table_in_a_room_is_the_ground_of_tabletop() -> None:
+def test_preset_tabletop_takes_a_table_in_a_room_for_the_floor() -> None:
     """The far third of the image shows the room's floor, 0.7 m below the table."""
     pose, box = Pose(0.5, 40.0, 0.0), ((-0.05, 0.5, 0.0), (0.05, 0.6, 0.1))
     depth = cast(pose, [box])
@@ -129,7 +129,7 @@ def test_a_table_in_a_room_is_the_ground_of_tabletop() -> None:
     assert metric.distances(detections)[0, 0] == pytest.approx(500, abs=15)
 
 
-def test_free_floor_in_front_of_and_next_to_a_box() -> None:
+def test_free_floor_ends_at_a_box_and_continues_next_to_it() -> None:
     scene = found(made(cast(POSE, [BOX])[None], POSE.plane())).scene
     assert scene
     stop, end = scene.free[0, :, 1], scene.free_end[0]
@@ -165,7 +165,7 @@ def test_an_object_above_the_robot_is_not_an_obstacle() -> None:
     assert between.sum() > 20 and (low.scene.free_end[0, between] == FreeEnd.RANGE).all()
 
 
-def test_nothing_is_above_the_robot_if_the_floor_is_unknown() -> None:
+def test_the_maximum_height_has_no_effect_if_the_floor_is_unknown() -> None:
     given = made(cast(POSE, [BOX])[None], None)
     unknown = replace(SURFACES, floor=replace(SURFACES.floor, min_share_alone=1.0))
     limits = (replace(SURFACES.ground, max_height_m=m) for m in (0.0, 0.1))
@@ -262,7 +262,7 @@ LOOKING_DOWN = {"camera_height_m": 0.6, "camera_pitch_rad": 0.45}
 
 
 def test_sizes_without_noise_are_within_3_cm() -> None:
-    """Tested for the front of a tall box, and width and depth of a low box seen from above."""
+    """A tall box shows its front, a low box that is seen from above its width and depth."""
     sensor = DepthSensor(enabled=False)
     wide, _, high = sizes(found(of(simulated(CARTON_BOX, sensor=sensor))))[0]
     assert (wide, high) == pytest.approx((0.4, 0.4), abs=0.03)
@@ -445,7 +445,7 @@ def test_surplus_surfaces_are_not_obstacles(backend: BackendName) -> None:
 
 
 @pytest.mark.parametrize(("height", "width"), [(119, 157), (60, 160), (120, 40)])
-def test_a_box_is_found_in_any_part_of_an_image(height: int, width: int) -> None:
+def test_a_box_is_found_in_cropped_images_that_contain_it(height: int, width: int) -> None:
     detections = found(made(cast(POSE, [BOX])[None, :height, :width], POSE.plane()))
     assert count(detections) == int(width > 50)
 
@@ -523,7 +523,7 @@ def test_labelled_obstacles_of_a_moving_wheelchair_are_found(shared_data: Path) 
 
 
 @pytest.mark.parametrize("upside_down", [False, True])
-def test_notches_of_the_free_floor_show_objects_lower_than_the_step(
+def test_notches_of_the_free_floor_reveal_objects_lower_than_the_step(
     device: object, upside_down: bool
 ) -> None:
     """Nothing is measured behind a strip 4 cm high: free floor ends at the strip, and continues on

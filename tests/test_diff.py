@@ -62,7 +62,7 @@ def test_the_command_prints_a_table_and_exits_with_1_if_runs_differ(
     assert max(map(len, lines)) <= 100
 
 
-def test_pictures_are_side_by_side(
+def test_pictures_show_both_runs_side_by_side(
     drive: Path, shorter: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "pictures"

@@ -113,7 +113,7 @@ def test_sums_are_computed_in_order():
     assert elementary.mean(np.array(terms), np.ones(3)) == 0.0
 
 
-def test_means_and_medians_equal_numpy():
+def test_means_and_medians_equal_those_of_numpy():
     values = np.array([[1.0, 4.0], [3.0, -4.0], [2.0, 0.0]])
     assert elementary.mean(values).tolist() == [2.0, 0.0]
     assert elementary.mean(values, np.array([1, 0, 3])).tolist() == [1.75, 1.0]

@@ -42,7 +42,7 @@ def run(log: Path | str, output: Path, **options: Any) -> Summary:
     return run_log(log, output / "log", config, observers=observers, **options)
 
 
-def test_bytes_depend_on_neither_backend_nor_batch(sim_log: Path, tmp_path: Path) -> None:
+def test_results_depend_on_neither_backend_nor_batch_size(sim_log: Path, tmp_path: Path) -> None:
     ways = [("reference", 1), ("reference", 5), ("jax", 3), ("jax", 16)]
     for backend, batch in ways:
         run(sim_log, tmp_path / f"{backend}{batch}", backend=backend, batch_size=batch, pictures=0)

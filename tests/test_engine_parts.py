@@ -89,7 +89,7 @@ def test_rows_of_a_part_equal_those_of_the_complete_log(sim_log, whole, tmp_path
     assert {name: written["log"][name] for name in part} == part
 
 
-def test_a_part_run_by_several_workers_has_equal_rows(sim_log, whole, tmp_path):
+def test_a_part_run_by_several_workers_has_the_rows_of_the_complete_log(sim_log, whole, tmp_path):
     summary = run(sim_log, tmp_path, LogOptions(start="0.1", every=2), batch_size=1, workers=2)
     assert summary.workers == 2 and summary.frames == 5
     for found, all_rows in zip(tables(tmp_path), whole, strict=True):

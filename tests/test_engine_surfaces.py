@@ -44,7 +44,7 @@ def sim_log(
 
 @pytest.fixture(scope="module")
 def results(sim_log: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, LogSummary]:
-    """Return the results of one process that takes one frame at a time, with a picture."""
+    """Return the results of one process with a batch of one frame, with one picture."""
     folder = tmp_path_factory.mktemp("results")
     return folder, run(sim_log, folder, batch_size=1, workers=1, pictures=1)
 

@@ -28,7 +28,7 @@ from jaxdet.types import (
 
 CAMERA = Intrinsics(60, 40, 50.0, 50.0, 30.0, 20.0)
 PIXELS = [(5, 15), (25, 35), (45, 55)]
-"""Columns of the three objects, rows 10-30; the wall is rows 0-3."""
+"""First column and end of each of the three objects, in rows 10-30; the wall is in rows 0-3."""
 
 
 def picture():
@@ -51,7 +51,7 @@ def truth(**changes):
 
 
 def detections(points, forward_mm, **outline):
-    """Return detections of a frame: ``points`` (u, v, label), forward distance of each C [mm]."""
+    """Return detections of a frame from points (u, v, label) and forward distances of C [mm]."""
     u, v, labels = (np.array([column], np.int32) for column in zip(*points, strict=True))
     used = np.ones(u.shape, bool)
     features = Features(u, v, u, v, v, used, used, np.zeros(1, bool))
@@ -139,7 +139,7 @@ def test_cells_are_transformed_to_the_colour_camera():
     assert counted(got) == (3, 1, 2, 1, 0, 1)
 
 
-def test_floor_and_wall_are_false_and_splits_and_merges_are_counted():
+def test_detections_of_the_floor_are_false_and_splits_and_merges_are_counted():
     floor = [(20, 37, 0), (21, 37, 0), (22, 37, 0)]
     wall = [(30, 1, 1), (31, 1, 1)]
     split = [*on(1, 2, 3), (10, 25, 3), (11, 25, 3)]
@@ -156,7 +156,7 @@ def test_floor_and_wall_are_false_and_splits_and_merges_are_counted():
     assert figures.fmi_obstacles == pytest.approx(math.sqrt(1 / 3))
 
 
-def test_half_of_the_points_must_be_on_the_obstacle():
+def test_half_of_the_points_of_a_match_must_be_on_the_obstacle():
     nearby = [(0, 35, 0), (0, 36, 0)]
     assert evaluate(detections(on(1, 0, 2) + nearby, [1000]), truth()).found == 1
     got = evaluate(detections(on(1, 0, 2) + [*nearby, (0, 37, 0)], [1000]), truth())
@@ -166,7 +166,7 @@ def test_half_of_the_points_must_be_on_the_obstacle():
     assert evaluate(detections(points, [1000]), truth(), config=loose).found == 1
 
 
-def test_objects_that_are_not_required_are_not_false_positives():
+def test_detections_of_objects_that_are_not_required_are_ignored():
     far = truth(nearest_m=np.array([[5.0, 2.0, 3.0, 8.0]]))
     points = on(1, 0) + [(10, 25, 1), (11, 25, 1)] + on(2, 2)
     got = evaluate(detections(points, [1000, 1000, 2000]), far)
@@ -176,7 +176,11 @@ def test_objects_that_are_not_required_are_not_false_positives():
 
 
 def test_detections_on_ignored_objects_may_be_matches_or_ignored():
-    """If the other half is on a required object, it is a match; if on the floor, it is ignored."""
+    """Half of a detection is on an ignored object.
+
+    If the other half is on a required object, the detection is a match; if the other half is on the
+    floor, the detection is ignored.
+    """
     far = truth(nearest_m=np.array([[1.0, 5.0, 3.0, 8.0]]))
     got = evaluate(detections(on(1, 0) + on(2, 0), [1100]), far)
     assert counted(got) == (2, 1, 1, 1, 0, 0)
@@ -230,7 +234,7 @@ def box(left, right, near, far):
     return [[left, near], [right, near], [right, far], [left, far]]
 
 
-def test_shape_errors_by_hand():
+def test_shape_errors_match_a_hand_calculation():
     """Object 1 is the square [0, 1] x [1, 2], detected as the rectangle [0, 0.8] x [1, 1.5]."""
     low = np.array([[[0, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
     high = np.array([[[1, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
@@ -269,7 +273,7 @@ def test_shape_errors_by_hand():
     assert score([got]).safe_coverage == 0 and math.isnan(score([got]).coverage)
 
 
-def test_internal_indices_by_hand():
+def test_internal_indices_match_a_hand_calculation():
     points = on(1, 0) + on(2, 1)
     config = EvalConfig(indices=True)
     got = evaluate_frames(detections(points, [1, 2]), truth(), config=config)[0]

@@ -28,7 +28,10 @@ CONFIG = EvalConfig(footprint=Config().footprint, min_visible_pixels=3)
 
 
 def found() -> Detections:
-    """Return two frames; the first has a square from (0, 1) to (1, 2) and one 1 m to its right."""
+    """Return detections of two frames; the first has two outlines.
+
+    One is the square from (0, 1) to (1, 2) [m], the other is 1 m to the right of it.
+    """
     calibration = small()
     color = np.zeros((2, 60, 80, 3), np.uint8)
     plane = flat_plane(*np.full((3, 2), [[0.4], [0.0], [0.0]]))
@@ -53,10 +56,11 @@ def with_scene(detections: Detections, **parts: object) -> Detections:
 
 
 FLOOR = np.array([[[[0.5, 1.5], [0.9, 1.9], [1.5, 1.5], [0.5, 2.5]]]] * 2)
-"""Two floor pixels are in the first square, one in the second, one behind the first."""
+"""Positions of four floor pixels, right and forward [m]: two are in the first square of
+:func:`found`, one is in the second, and one is behind the first."""
 
 
-def test_claimed_floor_by_hand() -> None:
+def test_claimed_floor_matches_a_hand_calculation() -> None:
     detections = found()
     heights = np.zeros_like(detections.scene.bottom_top)
     low = with_scene(detections, bottom_top=heights)
@@ -78,7 +82,7 @@ def test_claimed_floor_by_hand() -> None:
     assert claimed_floor(points, FLOOR, 0.001, CONFIG)[0].drivable_claimed == 3
 
 
-def test_frames_with_little_floor_have_no_share() -> None:
+def test_frames_with_little_floor_have_no_fraction_of_claimed_floor() -> None:
     floor = FLOOR.copy()
     floor[0, 0, 1:3] = np.nan
     tallies = claimed_floor(found()._replace(scene=None), floor, 0.001, CONFIG)
@@ -95,7 +99,7 @@ def test_floor_is_measured_only_where_depth_agrees_with_it() -> None:
     assert np.isfinite(got).all(axis=-1).tolist() == [[True, False, False, False, False]]
 
 
-def test_positions_equal_those_of_the_simulator() -> None:
+def test_floor_positions_equal_those_of_the_simulator() -> None:
     (frame,) = sample_frames("corridor", 0, 1, width=160, height=120)
     truth = floor_truth(frame)
     calibration = calibration_of(frame.config)

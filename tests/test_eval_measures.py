@@ -1,4 +1,4 @@
-"""Indices, partitions, matches and outlines: by hand, compared with sklearn, and laws."""
+"""Indices, partitions, matches and outlines: examples by hand, comparison with sklearn, laws."""
 
 import math
 
@@ -15,7 +15,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 @given(seeds, st.integers(2, 60), st.integers(1, 8), st.integers(1, 3))
-def test_indices_equal_sklearn(seed, n, clusters, axes):
+def test_indices_equal_those_of_sklearn(seed, n, clusters, axes):
     metrics = pytest.importorskip("sklearn.metrics")
     rng = np.random.default_rng(seed)
     points, labels = rng.normal(size=(n, axes)), rng.integers(-1, clusters, n)
@@ -31,7 +31,7 @@ def test_indices_equal_sklearn(seed, n, clusters, axes):
         assert ours == (0.0, 0.0)
 
 
-def test_indices_of_degenerate_partitions():
+def test_indices_of_degenerate_partitions_are_their_limits_or_nan():
     twice = np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
     labels = np.array([0, 0, 7, 7])
     assert silhouette(twice, labels) == 1 and davies_bouldin(twice, labels) == 0
@@ -50,7 +50,7 @@ def test_indices_do_not_depend_on_place_and_scale(seed, shift, scale):
     assert davies_bouldin(moved, labels) == pytest.approx(davies_bouldin(points, labels), rel=1e-5)
 
 
-def test_a_hull_has_no_points_on_its_edges():
+def test_points_on_the_edges_of_a_hull_are_left_out():
     on_edges = np.array([[1.0, 0.0], [2.0, 1.5], [0.5, 2.0], [0.0, 1.0], [1.0, 1.0]])
     assert hull(np.vstack([on_edges, SQUARE])).tolist() == SQUARE.tolist()
 
@@ -62,7 +62,7 @@ def alone(labels, first):
 
 
 @given(seeds, st.integers(1, 40), st.integers(1, 6), st.integers(1, 6))
-def test_fowlkes_mallows_equals_sklearn(seed, n, a, b):
+def test_the_fowlkes_mallows_index_equals_that_of_sklearn(seed, n, a, b):
     metrics = pytest.importorskip("sklearn.metrics")
     rng = np.random.default_rng(seed)
     labels, truth = rng.integers(-1, a, n), rng.integers(-1, b, n)
@@ -79,13 +79,13 @@ def test_fowlkes_mallows_equals_sklearn(seed, n, a, b):
     assert pair_counts(labels[order], truth[order]) == counts
 
 
-def test_fowlkes_mallows_by_hand():
+def test_the_fowlkes_mallows_index_matches_a_hand_calculation():
     assert fowlkes_mallows(PairCounts(0, 0, 3)) == 0 == fowlkes_mallows(PairCounts(0, 3, 0))
     assert pair_counts(np.zeros(0, int), np.zeros(0, int)) == PairCounts(0, 0, 0)
     assert pair_counts(np.array([0, 0]), np.array([-1, -1])) == PairCounts(0, 1, 0)
 
 
-def test_matches_of_detections_and_objects_by_hand():
+def test_matches_of_detections_and_objects_are_those_found_by_hand():
     yes = np.array([False, True, True, False])
     tie = np.array([[0, 3, 3, 0], [0, 5, 0, 0]])
     assert match(tie, yes).tolist() == [2, 1]
@@ -96,7 +96,7 @@ def test_matches_of_detections_and_objects_by_hand():
     assert match(np.zeros((2, 4), int), yes).tolist() == [0, 0]
 
 
-def test_a_vote_outweighs_all_fractions_of_votes():
+def test_the_number_of_votes_goes_before_their_fraction():
     votes = np.array([[1, 500, 0, 499], [0, 0, 6, 4], [0, 1, 0, 0], [997, 0, 3, 0]])
     assert match(votes, np.arange(4) > 0, 0.0).tolist() == [1, 3, 0, 2]
 
@@ -113,7 +113,7 @@ def test_overlap_is_symmetric_and_bounded(seed, n):
     assert inside(hull(a), a, 1e-9).all() and inside(hull(a)[::-1], a, 1e-9).all()
 
 
-def test_overlap_equals_opencv():
+def test_the_overlap_of_outlines_equals_that_of_opencv():
     cv2 = pytest.importorskip("cv2")
     rng = np.random.default_rng(5)
     for _ in range(50):
@@ -123,7 +123,7 @@ def test_overlap_equals_opencv():
         assert overlap(a, b) == pytest.approx(expected, abs=1e-4)
 
 
-def test_area_overlap_and_inside_of_outlines_by_hand():
+def test_areas_and_overlaps_of_outlines_match_a_hand_calculation():
     assert area(SQUARE) == 4 and area(SQUARE[::-1]) == -4 and area(SQUARE[:2]) == 0
     assert math.isnan(overlap(SQUARE[:2], SQUARE[:2])) and overlap(SQUARE, SQUARE[:2]) == 0
     assert overlap(SQUARE, SQUARE[::-1] + [0, 1]) == pytest.approx(1 / 3)
@@ -134,7 +134,7 @@ def test_area_overlap_and_inside_of_outlines_by_hand():
     assert inside(dot, np.array([[0.0, 0.0], [0.1, 0.0]]), 0.05).tolist() == [True, False]
 
 
-def test_near_side_of_an_outline_by_hand():
+def test_the_near_side_of_an_outline_matches_a_hand_calculation():
     assert len(near_side(SQUARE - 1)) == 0
     assert len(near_side(np.full((4, 2), np.nan))) == 0
     corner = near_side(SQUARE + 1, 0.5)

@@ -57,7 +57,7 @@ def test_totals_are_sums_over_frames():
     assert score([Tally(pairs_true=3)]).fmi_pooled == 0 and math.isnan(score([one]).fmi_pooled)
 
 
-def test_kept_shares_count_measured_pixels_of_floor_and_obstacles():
+def test_kept_fractions_are_of_measured_pixels_of_floor_and_obstacles():
     ids = np.array([[0, 0, 0, 0, 1, 1, 1, 2]])
     heights = np.array([[0, 0, 0, NAN, 0.03, 0.2, 0.3, 1.0]])
     z = np.array([[1, 1, 0, 1, 1, 1, 1, 1.0]])
@@ -68,7 +68,7 @@ def test_kept_shares_count_measured_pixels_of_floor_and_obstacles():
     assert score([got]).floor_kept == 0.5 == score([got]).obstacle_kept
 
 
-def test_nearest_obstacle_on_the_floor_by_hand():
+def test_the_nearest_point_of_an_object_matches_a_hand_calculation():
     """The camera is 1 m up and looks straight down; a pixel is 0.1 times the depth wide."""
     ids, depth = np.zeros((1, 3, 7), int), np.ones((1, 3, 7), np.float16)
     ids[0, 1] = [4, 1, 1, 2, 0, 3, 0]
@@ -123,7 +123,7 @@ def test_ground_truth_of_a_log_is_read():
     np.testing.assert_allclose(moved.nearest_forward_m, [[2.4], [2.3]])
 
 
-def test_quantiles_of_errors_by_hand():
+def test_quantiles_of_errors_match_a_hand_calculation():
     cases = np.repeat(np.arange(11.0)[:, None], 7, axis=1)
     cases[::2, 3:] *= -1
     figures = errors(cases)

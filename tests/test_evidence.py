@@ -73,7 +73,7 @@ def test_facing_cells_equal_those_found_by_loops(
         assert votes == expected.get((int(one), int(other)), [0] * 6)
 
 
-def test_facing_cells_by_hand() -> None:
+def test_facing_cells_match_a_hand_calculation() -> None:
     """A pole stands in front of a wall, which is visible next to it."""
     label = np.array([[0, 0, 1, 2, -1, 3], [0, 0, -1, 2, -1, -1]])
     z = np.array([[900, 900, 700, 905, 1500, 910], [900, 900, 0, 1000, 0, 0]])
@@ -102,7 +102,7 @@ def seen_of(things: list[tuple[int, int, int]], config: ObstacleConfig = CONFIG)
     return [dict(zip(PAIR_FEATURES, one.tolist(), strict=True)) for one in found.features]
 
 
-def test_features_of_a_pair_by_hand() -> None:
+def test_features_of_a_pair_match_a_hand_calculation() -> None:
     """Objects of 20 and 10 columns at 1 m and 1.1 m, with 10 columns without depth between them."""
     (seen,) = seen_of([(30, 20, 1000), (60, 10, 1100)])
     assert seen["gap"] == int(np.hypot(110, 100)) and seen["ahead"] == 100

@@ -135,7 +135,7 @@ def test_a_missing_log_and_another_log_are_errors(drive: Path, tmp_path: Path) -
 def test_missing_and_truncated_logs_are_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The other logs are exported and the missing ones named; logs given by name are required."""
+    """The other logs are exported and the missing ones named; a log given by name must exist."""
     logs = [sim_log(tmp_path / f"{name}.mcap", frames=2, seed=3) for name in "abc"]
     folder, output = tmp_path / "out", tmp_path / "set"
     run_logs(logs, folder, pictures=0)

@@ -89,7 +89,7 @@ def interpolated(samples: list, stamp_ns: int) -> np.ndarray:
 
 
 def outside(points: np.ndarray, corners: list[float]) -> float:
-    """Return the largest distance of the points outside of an outline [m]."""
+    """Return how far the points are outside of an outline at most [m], negative if inside."""
     ring = np.reshape(corners, (4, 2))
     sides = np.roll(ring, -1, axis=0) - ring
     inward = ring.mean(axis=0) - ring
@@ -101,7 +101,7 @@ def outside(points: np.ndarray, corners: list[float]) -> float:
 
 
 def in_world(obstacle: dict[str, Any]) -> np.ndarray:
-    """Return the contour in the world, by the transform of the corners of its outline."""
+    """Return the contour in the world, by the transform of corners_ground to corners_world."""
     ground, world = (
         np.reshape(obstacle[f"corners_{where}"], (4, 2)) for where in ("ground", "world")
     )
@@ -110,7 +110,9 @@ def in_world(obstacle: dict[str, Any]) -> np.ndarray:
     return np.c_[contour, np.ones(len(contour))] @ affine
 
 
-def test_each_frame_replaces_the_previous_one(driven_results: Path, tmp_path: Path) -> None:
+def test_messages_of_each_frame_replace_those_of_the_previous_one(
+    driven_results: Path, tmp_path: Path
+) -> None:
     topics, frames = exported(driven_results, tmp_path / "out")
     stamps = [frame.row["stamp_ns"] for frame in frames]
     for topic in (TF, SCENE, BOXES):
@@ -199,7 +201,9 @@ def test_the_sidecar_of_an_image_folder_has_its_poses(tmp_path: Path) -> None:
         np.testing.assert_allclose(place, row["camera_position_world"], atol=1e-6)
 
 
-def test_topics_do_not_make_a_log_an_image_folder(driven_log: Path, tmp_path: Path) -> None:
+def test_a_log_with_topic_names_of_image_folders_is_not_an_image_folder(
+    driven_log: Path, tmp_path: Path
+) -> None:
     """A file without a suffix may use the topic names of image folders."""
     log = tmp_path / "drive"
     with driven_log.open("rb") as old, log.open("wb") as new:

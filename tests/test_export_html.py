@@ -100,7 +100,9 @@ def test_a_frame_with_many_obstacles_lists_the_nearest(
         assert min(one[1] for one in frame["rows"]) == frame["nearest"]
 
 
-def test_gallery_shows_near_full_and_failed_frames(made: Path, tmp_path: Path) -> None:
+def test_gallery_shows_the_nearest_the_fullest_and_the_failed_frames(
+    made: Path, tmp_path: Path
+) -> None:
     data = page_of(made, tmp_path / "page.html")
     frames = open_results(made).tables().frames.to_pandas()
     obstacles = open_results(made).tables().obstacles.to_pandas()
@@ -124,7 +126,7 @@ def test_gallery_shows_near_full_and_failed_frames(made: Path, tmp_path: Path) -
     assert all("isn't what it was" in reason for reason in reasons)
 
 
-def test_few_frames_are_marked_as_near_or_full(tmp_path: Path) -> None:
+def test_three_frames_are_marked_as_nearest_and_three_as_fullest(tmp_path: Path) -> None:
     folder = make_results(tmp_path / "out", {"a": 39})
     data = page_of(folder, tmp_path / "page.html")
     obstacles = open_results(folder).tables().obstacles.to_pandas()
@@ -138,7 +140,7 @@ def test_few_frames_are_marked_as_near_or_full(tmp_path: Path) -> None:
     assert sum("sample" in frame["kinds"] for frame in data["frames"]) > 8
 
 
-def test_frames_with_equally_many_obstacles_are_not_marked_as_full() -> None:
+def test_frames_with_equally_many_obstacles_are_not_marked_as_fullest() -> None:
     figures = LogFigures("a", 0.1, Timeline(30))
     each, names = np.ones(30, np.int64), np.full(30, "ok", object)
     rows = Columns(np.arange(30), np.arange(30), names, each == 0, each, np.ones(30, np.float32))
@@ -294,7 +296,9 @@ def test_browser_shows_lost_frames(made: Path, tmp_path: Path, browser: Any) -> 
     outlines = sum(len(frame["rows"]) for frame in found)
     assert page.locator(".card .plan polygon").count() == outlines > len(found)
     shown = page.locator("#shown").inner_text()
-    assert re.search(r"; no pictures of some: /nowhere/.*with --log, and 1 further log$", shown)
+    assert re.search(
+        r"; no pictures of some frames: /nowhere/.*with --log, and 1 further log$", shown
+    )
     for kind, name in (("lost", "Without a result"), ("overflow", "Overflow")):
         page.get_by_role("radio", name=name).click()
         assert cards() == sum(kind in frame["kinds"] for frame in data["frames"]) > 0

@@ -209,7 +209,7 @@ def test_each_log_has_a_recording_with_its_lost_frames(tmp_path: Path) -> None:
 
 
 def test_free_floor_equals_that_of_the_map() -> None:
-    """It is not interpolated over unknown columns, and ends at the nearer of two neighbours."""
+    """Free floor is not interpolated over unknown rays, and ends at the nearer of two rays."""
     show = pytest.importorskip("jaxdet.export.rerun")._free
     bearing = [RAY_RAD * i for i in (-5, -4, -3, 3, 4, 5)]
     row = {"free_bearing_rad": bearing, "free_from_m": [0.5] * 6, "free_to_m": [2.0] * 5 + [1.0]}

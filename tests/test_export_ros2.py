@@ -144,7 +144,8 @@ def test_each_frame_has_a_grid_around_its_ground_projection(
         y = info.origin.position.y + (np.arange(rows)[:, None] + 0.5) * info.resolution
         sector = np.floor(np.arctan2(x, y) / (2 * np.pi / RAYS) + RAYS / 2).astype(int) % RAYS
         away, margin = np.hypot(x, y), info.resolution
-        # Inside: free in three neighbouring pairs of rays. Outside: two cells away from any.
+        # Inside: grid cells that are free between three neighbouring pairs of rays. Outside: those
+        # more than two cells away from the free floor of any ray nearby.
         first, last = (
             f([np.roll(a, i) for i in (-1, 0, 1)], axis=0)[sector]
             for f, a in ((np.max, least), (np.min, most))
@@ -240,7 +241,7 @@ def test_without_poses_messages_are_in_the_floor_frame(
         assert edge.child_frame_id == "camera_depth_optical_frame_floor"
 
 
-def test_frames_have_one_parent_next_to_a_recording_with_odometry(
+def test_tf_frames_have_one_parent_next_to_a_recording_with_odometry(
     driven_log: Path, tmp_path: Path
 ) -> None:
     found = run(driven_log, tmp_path / "results", "paper", LogOptions(odom="/odom"))
@@ -261,7 +262,7 @@ def test_the_log_is_read_again_with_the_options_of_the_run(
 ) -> None:
     with Results(driven_results) as results:
         of, files = results.logs[0], find(results, [str(driven_log)])["sim"]
-        for batch, chunk in images(results, of, files):
+        for chunk, batch in images(results, of, files):
             stamps = batch.frames.stamp_ns[: chunk.frames.num_rows]
             assert stamps.tolist() == chunk.frames["stamp_ns"].to_pylist()
         (seen,) = look_again(results, of, files)

@@ -39,7 +39,7 @@ def walkers(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def linked(folder: Path) -> dict[int, list[int | None]]:
-    """Return the tracks of the obstacles of each frame."""
+    """Return the track of each obstacle, by frame number."""
     found = defaultdict(list)
     for row in pq.read_table(folder / "track_links.parquet").to_pylist():
         found[row["frame"]].append(row["track"])
@@ -58,7 +58,7 @@ def test_foxglove_labels_obstacles_with_their_tracks(walkers: Path, tmp_path: Pa
         assert len(set(ids)) == len(ids)
         own = [f"track {t}" for t in of[number] if t is not None]
         assert {i for i in ids if i.startswith("track")} >= {*own}
-        assert len([i for i in ids if not i.startswith("way")]) == len(of[number])
+        assert len([i for i in ids if not i.startswith("trajectory")]) == len(of[number])
         for entity in scene.entities:
             for text in entity.texts:  # labels above the nearest point
                 p = text.pose.position
@@ -67,21 +67,22 @@ def test_foxglove_labels_obstacles_with_their_tracks(walkers: Path, tmp_path: Pa
                 assert np.hypot(*place[:2]) == pytest.approx(about["distance_m"], abs=2e-3)
                 assert place[2] == pytest.approx(about["top_m"] + 0.08, abs=2e-3)
         there = [t for t in tracks if t["first_frame"] <= number <= t["last_frame"]]
-        ways = {e.id: e for e in scene.entities if e.id.startswith("way")}
-        assert {*ways} == {f"way of track {t['track']}" for t in there if t["moving"]}
+        paths = {e.id: e for e in scene.entities if e.id.startswith("trajectory")}
+        assert {*paths} == {f"trajectory of track {t['track']}" for t in there if t["moving"]}
         for track in there:
             if track["moving"]:
-                way, at = ways[f"way of track {track['track']}"], number - track["first_frame"]
-                (arrow,), (line,) = way.arrows, way.lines
-                assert way.frame_id == row["world_frame"]
+                entity = paths[f"trajectory of track {track['track']}"]
+                at = number - track["first_frame"]
+                (arrow,), (line,) = entity.arrows, entity.lines
+                assert entity.frame_id == row["world_frame"]
                 speed = arrow.shaft_length + arrow.head_length
                 np.testing.assert_allclose(speed, track["speed_mps"][at], atol=1e-6)
                 place = arrow.pose.position.x, arrow.pose.position.y
                 np.testing.assert_allclose(place, track["path"][2 * at : 2 * at + 2], atol=1e-6)
                 assert len(line.points) == at + 1
                 path = np.reshape(track["path"], (-1, 2))[: at + 1]
-                way_back = [(p.x + place[0], p.y + place[1]) for p in line.points]
-                np.testing.assert_allclose(way_back, path, atol=1e-5)
+                drawn = [(p.x + place[0], p.y + place[1]) for p in line.points]
+                np.testing.assert_allclose(drawn, path, atol=1e-5)
                 on_floor = row["camera_position_world"][2] - row["camera_height_m"]
                 assert arrow.pose.position.z == pytest.approx(on_floor, abs=1e-6)
                 turn, goes = arrow.pose.orientation, path[-1] - path[0]
@@ -96,9 +97,9 @@ def test_trajectories_in_the_world_require_poses(walkers: Path) -> None:
     """Without a pose, points would be in the floor frame of the camera."""
     with Results(walkers / "out") as results:
         frame = next(f for f in results.frames(results.logs[0]) if any(t.moving for t in f.tracks))
-    assert any(entity.id.startswith("way") for entity in foxglove.scene(frame).entities)
+    assert any(entity.id.startswith("trajectory") for entity in foxglove.scene(frame).entities)
     frame.row.update(camera_position_world=None, camera_orientation_world=None)
-    assert not any(entity.id.startswith("way") for entity in foxglove.scene(frame).entities)
+    assert not any(entity.id.startswith("trajectory") for entity in foxglove.scene(frame).entities)
 
 
 def test_ros2_and_coco_have_the_tracks(walkers: Path, tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def test_sidecars_have_the_log_times_of_the_recording(
 
 @pytest.mark.parametrize("to", ["foxglove", "ros2"])
 def test_sidecars_are_not_read_as_logs(to: str, parts: Path, tmp_path: Path) -> None:
-    """Next to a log, sidecars are left out; given by name or alone, they are refused as such."""
+    """Next to a log, sidecars are left out; by name or alone, they are refused as sidecars."""
     folder = exported(parts, to, tmp_path / "out")
     name = "both@rear.jaxdet.mcap"
     with pytest.raises(
@@ -268,7 +268,7 @@ print(next(line.split()[1] for line in status.splitlines() if line.startswith("V
 @pytest.mark.slow
 @pytest.mark.parametrize("to", ["foxglove", "ros2", "rerun", "html"])
 def test_memory_of_exports_is_bounded(to: str, tmp_path: Path) -> None:
-    """100,000 frames use no more than 66,000, which fill two row groups of the tables."""
+    """100,000 frames use no more memory than 66,000, which fill two row groups of the tables."""
     peaks = []
     for count in (66_000, 100_000):
         folder = tmp_path / str(count)

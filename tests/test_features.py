@@ -1,4 +1,4 @@
-"""features: compared with OpenCV, examples by hand, and the kernel against the reference."""
+"""features: examples by hand, and comparisons with OpenCV and of kernel and reference."""
 
 from dataclasses import replace
 from typing import Any, cast
@@ -31,7 +31,7 @@ SIZES = [(480, 640), (61, 96), (240, 320), (33, 64)]
 
 
 def grey_images() -> list[np.ndarray]:
-    """Return grey images with a width of a multiple of 32, for which OpenCV's bits are equal."""
+    """Return rendered, random, empty and chequered grey images; widths are multiples of 32."""
     rng = np.random.default_rng(3)
     images = [grey(blocks(1, *size)[0]) for size in SIZES]
     images.append(rng.integers(0, 256, (120, 160)).astype(np.uint8))
@@ -62,7 +62,7 @@ def test_canny_equals_opencv(bounds):
         assert np.array_equal(canny(image, *bounds), cv2.Canny(image, *bounds))
 
 
-def test_strengths_equal_opencv_except_for_rounding():
+def test_corner_strengths_equal_those_of_opencv_except_for_rounding():
     for image in grey_images():
         edges = canny(image, 100, 200)
         opencv = cv2.cornerMinEigenVal(edges, 3, ksize=3)
@@ -125,7 +125,7 @@ def test_corners_of_a_square_have_depth_and_metric_coordinates():
     assert np.array_equal(found.y[0, :4], (found.v[0, :4] - 24) * 20)
 
 
-def test_overflow_is_flagged(device):
+def test_more_corners_than_slots_are_flagged_as_overflow(device):
     color, z = blocks(2, 96, 128), np.full((2, 96, 128), 1000, np.uint16)
     color[1] = 7
     calibration = Calibration(resized(D435_COLOR, 128, 96))

@@ -52,7 +52,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """Return a function that runs a log once and returns its results."""
+    """Return a function that returns the results of a log, and runs each log only once."""
 
     known: dict[tuple, Path] = {}
 

@@ -1,4 +1,4 @@
-"""floor_frame: floor in integers, and points on it."""
+"""floor_frames: floors as integers, and the positions of points relative to them."""
 
 import numpy as np
 from hypothesis import given
@@ -18,7 +18,7 @@ from jaxdet.floor.units import Scale, prior_units
 UNIT = 0.001
 
 
-def test_floor_frame_of_a_level_camera() -> None:
+def test_the_floor_frame_of_a_level_camera_keeps_right_and_forward() -> None:
     plane = flat_plane(np.array([0.4, 1.0]), np.zeros(2), np.zeros(2))
     frame, fine = floor_frames(plane, UNIT), floor_frames(plane, UNIT / 10)
     xyz = np.array([[-100, 20], [400, -50], [1000, 3000]])
@@ -34,7 +34,9 @@ def test_floor_frame_of_a_level_camera() -> None:
     st.integers(-180 * ANGLES, 180 * ANGLES),
     st.lists(st.tuples(*[st.integers(-4000, 4000)] * 3), min_size=1, max_size=5),
 )
-def test_floor_frame_of_a_rotated_camera(pitch: int, roll: int, points: list) -> None:
+def test_the_floor_frame_of_a_rotated_camera_has_true_heights_and_lengths(
+    pitch: int, roll: int, points: list
+) -> None:
     angles = np.radians(np.array([[pitch], [roll]]) / ANGLES)
     plane = flat_plane(np.array([0.5]), *angles)
     xyz = np.array(points).T
@@ -56,7 +58,7 @@ def test_axes_are_those_of_the_plane(pitch: float, roll: float) -> None:
     assert np.abs(axes - known).max() <= np.radians(1 / ANGLES) * (1 << FRAME_BITS) + 1
 
 
-def test_floor_frame_of_a_camera_looking_straight_down() -> None:
+def test_forward_of_a_floor_frame_seen_from_above_is_the_top_of_the_image() -> None:
     plane = flat_plane(np.array([0.5]), np.array([np.pi / 2]), np.zeros(1))
     right, forward, height = on_floor(floor_frames(plane, UNIT)[0], np.array([[100], [-50], [400]]))
     assert (right.tolist(), forward.tolist(), height.tolist()) == ([100], [50], [100])
@@ -76,7 +78,7 @@ def test_steepness_of_ramps_is_clipped() -> None:
     assert floor_frames(plane, UNIT)[:, -1].tolist() == [steepest, -steepest]
 
 
-def test_rolls_a_full_turn_apart_are_equal() -> None:
+def test_rolls_a_full_turn_apart_give_equal_floor_frames() -> None:
     roll = np.radians([190.0, -170.0, 180.0, -180.0, 359.0, -1.0])
     given = prior_units(flat_plane(np.full(6, 0.5), np.zeros(6), roll), Scale(UNIT, 0.004))
     assert given[:, 1].tolist() == [ANGLES * deg for deg in (-170, -170, -180, -180, -1, -1)]

@@ -57,7 +57,7 @@ def test_noise_has_little_influence_on_the_plane(noise):
     assert_found(fit, pose, angle=0.25, height=6.0)
 
 
-def test_level_floor_is_exact():
+def test_the_floor_of_a_level_camera_is_exact():
     """For a level camera 500 mm up, floor cells are 500 below it at any depth."""
     z = np.zeros((120, 160), np.int32)
     v = np.arange(61, 120)
@@ -97,7 +97,7 @@ CHAIR += [((-0.2, 2.2, 0.4), (0.2, 2.6, 0.45)), ((-0.2, 2.6, 0.45), (0.2, 2.65, 
 
 @pytest.mark.parametrize("room", [DESK, CHAIR], ids=["desk", "chair"])
 @pytest.mark.parametrize("pose", [Pose(1.06, 0.0, 1.0), Pose(1.3, 5.0, 0.0)])
-def test_a_level_camera_in_a_room_sees_little_floor(pose, room):
+def test_floor_is_found_by_a_level_camera_that_sees_little_of_it(pose, room):
     """Less than a tenth of the image is floor; the rest is walls and furniture."""
     fit = found(measured(cast(pose, room)), unknown_plane(1))
     assert_found(fit, pose, angle=0.4, height=20.0)
@@ -105,7 +105,7 @@ def test_a_level_camera_in_a_room_sees_little_floor(pose, room):
 
 
 def test_a_plane_through_a_room_is_not_a_floor():
-    """Hardly any floor is visible: a steep plane through wall and furniture has more inliers."""
+    """Hardly any floor is visible; a steep plane through wall and furniture has more inliers."""
     room: list[Box] = [((-4, 4.2, 0), (4, 4.3, 3)), ((0.3, 2.4, 0), (1.7, 3.2, 0.72))]
     room.append(((-2.2, 2.8, 0), (-0.4, 3.2, 1.2)))
     fit = found(measured(cast(Pose(1.06, -3.0, 2.0), room)), unknown_plane(1))
@@ -135,7 +135,7 @@ def test_table_without_floor_is_refused_if_something_is_visible_below_it():
 def test_reflections_do_not_lead_to_refusal(known, columns):
     """A glossy floor shows mirrored lamps below itself.
 
-    With a prior, up to 14 % of the cells are reflections, without one 4 %; far fewer than inliers.
+    With a prior, up to 14 % of the cells are reflections, without one 4 %: far fewer than inliers.
     """
     pose = Pose(0.6, 20.0, 0.0)
     z = cast(pose, BOXES)
@@ -171,7 +171,7 @@ def test_a_camera_on_its_side_is_refused_without_a_prior():
     assert_refused(alone, Refusal.FAR, unknown_plane(1))
 
 
-def test_a_wall_close_ahead_leaves_too_little_floor():
+def test_the_floor_before_a_close_wall_is_refused_as_too_little():
     pose = Pose(0.5, 5.0, 0.0)
     wall: list[Box] = [((-4, 1.1, 0), (4, 1.2, 3))]
     fit = found(measured(cast(pose, wall)), unknown_plane(1))
@@ -207,7 +207,7 @@ def test_the_floor_before_a_step_down_is_found(pose, drop, start):
         assert np.isinf(fit.plane.ramp_start[0])
 
 
-def test_without_a_prior_a_lower_floor_is_a_drop_only_if_the_camera_is_far_above_it():
+def test_without_a_prior_a_drop_must_be_deeper_than_a_table_is_high():
     pose = Pose(1.3, 25.0, 0.0)
     table, drop = (measured(cast_step(pose, down, 2.4), noise=0.002) for down in (0.6, 0.9))
     assert_refused(found(table, unknown_plane(1)), Refusal.TABLE, unknown_plane(1))
@@ -251,7 +251,7 @@ def test_a_low_object_as_wide_as_the_image_is_not_the_floor(pose, start, end, hi
 
 
 def test_floor_beyond_a_step_counts_as_floor():
-    """The lower floor is neither the surroundings of a table nor missing."""
+    """Cells on the lower floor count as inliers, not as floor below a table."""
     pose = Pose(1.3, 30.0, 0.0)
     shown = cast_step(pose, 0.25, 1.8), cast(pose, [])
     share = [found(measured(z), pose.plane()).share[0] for z in shown]

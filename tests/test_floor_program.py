@@ -55,7 +55,7 @@ def assert_same(
 
 
 def priors(plane: GroundPlane) -> list[GroundPlane]:
-    """Return priors: correct, some of them wrong, and unknown."""
+    """Return the planes as prior, the planes with errors of pitch, height or roll, and no prior."""
     up, roll = np.radians(2.0), np.radians(-2.0)
     return [
         plane,
@@ -112,7 +112,7 @@ def test_floors_equal_the_reference_on_steps() -> None:
 
 
 def test_floors_equal_the_reference_on_ramps_of_just_the_minimum_visible_length() -> None:
-    """In units of 1 cm the minimum length is a multiple of the distance bins, so it occurs."""
+    """In units of 1 cm this length is a multiple of the distance bins, so some ramps have it."""
     ahead, length = np.arange(80, 300), np.arange(40, 90)[:, None]
     z = np.where(ahead < 200 + length, ahead, 0)
     y = 50 - np.tan(np.radians(10.0)) * np.maximum(ahead - 200, 0)
@@ -184,7 +184,7 @@ def test_cells_at_the_edge_of_the_tolerance_do_not_move_the_plane() -> None:
 
 
 def test_floors_equal_the_reference_on_ramps_seen_from_straight_above() -> None:
-    """The camera is pitched by at least 80 degrees, planes of ramps by up to 97, 90 among them."""
+    """The camera is pitched by 80 degrees or more, the ramps in it by up to 97, including 90."""
     depths, known = [], []
     for pitch, turn, start in ((80.0, 7.0, 0.15), (80.0, 9.0, 0.25), (82.0, 8.0, 0.15)):
         pose = Pose(1.5, pitch, 0.0)
@@ -198,7 +198,7 @@ def test_floors_equal_the_reference_on_ramps_seen_from_straight_above() -> None:
 
 @pytest.mark.parametrize("low", [1e-5, 0.003])
 def test_tolerance_is_not_smaller_for_a_plane_above_the_camera(low: float) -> None:
-    """With strong noise and the largest shift, the tolerance would be small or negative."""
+    """A negative height of the camera would make the tolerance negative if noise is strong."""
     rng = np.random.default_rng(3)
     config = FloorConfig(noise_per_m=0.6, max_shift_m=1.0, max_turn_deg=10.0, min_share=0.0)
     pitch = rng.uniform(np.radians(-85), np.radians(-60), 12)

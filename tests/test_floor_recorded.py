@@ -17,7 +17,7 @@ from tests.floor_cells import CONFIG, UNIT, positions
 
 
 def grids(path: Path) -> tuple[list[list[np.ndarray]], list[np.ndarray], Calibration]:
-    """Return the cells of each frame, its aligned depth, and the calibration."""
+    """Return the cells and the aligned depth of each frame, and the calibration."""
     cells, depths = [], []
     with open_log(str(path)) as log:
         for batch in log.batches(6):

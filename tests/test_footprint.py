@@ -1,4 +1,7 @@
-"""footprint: examples by hand, and kernel against reference; rectangles: ``test_metric.py``."""
+"""footprint: examples by hand, and comparison of kernel and reference.
+
+Rectangles are tested in ``tests/test_metric.py``.
+"""
 
 from dataclasses import replace
 
@@ -38,7 +41,7 @@ def measure(backend, x, z, labels, config=CONFIG):
 
 
 @BACKENDS
-def test_extents_and_points_by_hand(backend):
+def test_extents_and_points_of_obstacles_match_a_hand_calculation(backend):
     found = measure(backend, [-300, 0, 200, 999], [1500, 1000, 1400, 700], [0, 0, 0, -1])
     assert np.asarray(found.num_points)[0].tolist() == [3, *[0] * (SLOTS - 1)]
     assert np.asarray(found.xyz_min)[0, 0].tolist() == [-300, 0, 1000]
@@ -119,14 +122,14 @@ def outline(trim=0, side=0.0, near=0.0):
     [
         (outline(), -160, 150, 1000),
         (outline(trim=1), -150, 140, 1010),
-        # A sixteenth of 32 points.
+        # At most a sixteenth of the points is trimmed: 2 of 32.
         (outline(trim=9), -140, 130, 1020),
-        # At 1 m, medians of five points per side and three in front.
+        # At 1 m, the bands contain five points at each side, and three in front.
         (outline(side=0.04, near=0.025), -140, 130, 1010),
         (outline(trim=2, side=0.04, near=0.035), -120, 110, 1030),
     ],
 )
-def test_trimming_and_medians_by_hand(backend, settings, a, b, c):
+def test_trimmed_points_and_medians_match_a_hand_calculation(backend, settings, a, b, c):
     x = np.arange(32) * 10 - 160
     z = 1000 + 10 * ((np.arange(32) * 7) % 32)
     found = measure(backend, x, z, [0] * 32, config=replace(CONFIG, footprint=settings))
@@ -137,7 +140,7 @@ def test_trimming_and_medians_by_hand(backend, settings, a, b, c):
 
 @BACKENDS
 def test_the_band_in_front_grows_with_distance_squared(backend):
-    """Points are 10 mm apart, so the band of 12 mm at 1 m has two, that of 48 mm at 2 m five."""
+    """Of points 10 mm apart, a band of 12 mm at 1 m has two, and one of 48 mm at 2 m has five."""
     config = replace(CONFIG, footprint=outline(near=0.012))
     for z, c in ((1000, 1000), (2000, 2020)):
         found = measure(backend, np.arange(11), z + 10 * np.arange(11), [0] * 11, config=config)

@@ -14,9 +14,11 @@ WIDE = 2 * NEIGHBOURS + 1
 
 
 def column(*cells: tuple[int, int] | str | None) -> dict[str, list[int]]:
-    """Return a column, nearest cell first: (forward, height), ``"4"`` an obstacle, None a hole.
+    """Return a column of cells, given from the nearest to the farthest.
 
-    Cells within 30 mm of the plane are floor; all cells that are not higher are low.
+    A cell is ``(forward, height)`` [mm], an obstacle the text of its distance forward such as
+    ``"1600"``, and a hole None. Cells within 30 mm of the plane are floor; those and all lower ones
+    are ``low``.
     """
     out: dict[str, list[int]] = {"label": [], "low": [], "floor": [], "forward": [], "height": []}
     for cell in reversed(cells):
@@ -33,14 +35,14 @@ def column(*cells: tuple[int, int] | str | None) -> dict[str, list[int]]:
 def found(*columns: dict[str, list[int]]) -> tuple[np.ndarray, list[FreeEnd]]:
     """Return lines and ends of adjacent columns, each 1 mm to the right of the previous one.
 
-    Nothing is measured in further columns on both sides.
+    They are followed by columns without measurements, as a drop depends on neighbouring columns.
     """
     empty = column(*[None] * len(columns[0]["label"]))
     return narrow(*columns, *[empty] * WIDE, count=len(columns))
 
 
 def narrow(*columns: dict[str, list[int]], count: int) -> tuple[np.ndarray, list[FreeEnd]]:
-    """Return lines and ends of ``count`` columns, without further columns."""
+    """Return lines and ends of the first ``count`` columns of an image of these columns only."""
     arrays = {k: np.array([c[k] for c in columns]).T for k in columns[0]}
     right = np.broadcast_to(np.arange(len(columns)), arrays["label"].shape)
     drop = np.full(right.shape, DROP)
@@ -83,12 +85,12 @@ def test_floor_behind_an_obstacle_is_not_free() -> None:
 
 
 def test_the_nearest_obstacle_of_the_column_ends_the_floor() -> None:
-    """An object above the floor is nearer than the floor below it in the image."""
+    """An object that hangs above the floor is nearer than the floor that is seen below it."""
     line, end = found(column(*floor(500, 900, 1300, 1700), "1800", "1000"))
     assert end == [FreeEnd.OBSTACLE] and line[0].tolist() == [[0, 500], [0, 1000]]
 
 
-def test_floor_ends_for_an_unknown_reason() -> None:
+def test_floor_ends_for_an_unknown_reason_at_gaps_that_are_too_long() -> None:
     line, end = found(column(*floor(500, 900, 1300), None, None))
     assert end == [FreeEnd.UNKNOWN] and line[0].tolist() == [[0, 500], [0, 1300]]
     line, end = found(column(*floor(500, 900, 1300), None, *floor(1801, 2000)))
@@ -137,14 +139,14 @@ def test_floor_ends_at_a_step_down() -> None:
 
 
 def test_a_wall_below_a_step_may_reach_the_height_of_the_floor() -> None:
-    """A wall of a lower room has cells at the height of the floor that are about as far."""
+    """Cells of a wall in a lower room are at the height of the floor, as far as those below."""
     wall = column(*floor(500, 900, 1300), (4200, -300), (4400, -290), (4600, -280), (3900, 0))
     _, end = found(*[wall] * WIDE)
     assert end == [FreeEnd.DROP] * WIDE
 
 
-def test_a_narrow_drop_is_a_reflection() -> None:
-    """A drop of at most half of a column and its neighbours is not reported: the end is unknown."""
+def test_a_narrow_drop_counts_as_a_reflection() -> None:
+    """If at most half of a column and its neighbours drop, the reason of the end is unknown."""
     plain = column(*floor(500, 900, 1300, 1700, 2100, 2500), None)
     _, end = found(*[plain] * NEIGHBOURS, *[STEP_DOWN] * NEIGHBOURS, *[plain] * NEIGHBOURS)
     assert FreeEnd.DROP not in end
@@ -164,7 +166,9 @@ def test_a_narrow_drop_is_a_reflection() -> None:
         ((7000, -900), (7400, -940), (7900, -980), (2000, 0)),  # floor above the cells, but nearer
     ],
 )
-def test_cells_beyond_the_floor_that_are_not_a_drop(beyond: tuple) -> None:
+def test_reflections_bowed_floor_and_few_cells_are_not_a_drop(
+    beyond: tuple,
+) -> None:
     _, end = found(*[column(*floor(500, 900, 1300), *beyond)] * WIDE)
     assert FreeEnd.DROP not in end
 

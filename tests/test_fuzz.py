@@ -1,4 +1,4 @@
-"""Logs damaged at random, a few hundred; ``scripts/fuzz logs`` continues with other seeds."""
+"""A few hundred logs damaged at random; ``scripts/fuzz logs`` continues with other seeds."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""ground: Eq. 5 in exact arithmetic, tilted cameras by geometry, and kernel against reference."""
+"""ground: Eq. 5 in exact arithmetic, tilted cameras by geometry, and kernel and reference."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -54,7 +54,7 @@ def test_range_bounds_are_inclusive(backend):
 
 
 @BACKENDS
-def test_in_fine_units_all_depths_may_be_too_near(backend):
+def test_in_fine_depth_units_all_depths_may_be_too_near(backend):
     z = np.full((1, 48, 64), 65535, np.uint16)
     for nearest, some in ((0.65, True), (0.8, False)):
         config = replace(Config(), ground=GroundConfig(min_depth_m=nearest))
@@ -65,7 +65,7 @@ def test_in_fine_units_all_depths_may_be_too_near(backend):
 
 @BACKENDS
 def test_level_camera_equals_equation_5_on_every_pixel(backend):
-    """v - c_y >= f (h - 0.05) / z, in rational arithmetic, for every row and many depths."""
+    """Eq. 5, ``v - c_y >= f (h - 0.05) / z``, is computed in rational numbers for many depths."""
     height, step, unit = Fraction("0.62"), Fraction("0.05"), Fraction("0.001")
     depths = np.unique(np.concatenate([np.arange(1, 4000, 7), [342, 570, 1026, 1710, 2850]]))
     z = np.broadcast_to(depths[:, None, None], (len(depths), 48, 64)).astype(np.uint16)
@@ -77,7 +77,7 @@ def test_level_camera_equals_equation_5_on_every_pixel(backend):
 
 
 @BACKENDS
-def test_an_exact_tie_is_floor(backend):
+def test_a_point_exactly_at_the_step_height_is_floor(backend):
     # Row 39 is 19 px below the axis: 60 * 0.57 / 19 = 1.8 m, and 1.799 m is still above.
     z = np.zeros((2, 48, 64), np.uint16)
     z[0, 39], z[1, 39] = 1800, 1799
@@ -121,7 +121,7 @@ def test_tilted_floor_is_dropped_and_higher_points_are_kept(pitch, roll):
 
 @pytest.mark.parametrize("slope", [0.1, 0.4, -0.1, -0.4])
 @pytest.mark.parametrize(("pitch", "roll"), [(0.1, 0.0), (0.3, -0.1), (0.7, 0.05)])
-def test_a_ramp_begins_where_rays_meet_it(pitch, roll, slope):
+def test_depth_limits_follow_the_plane_and_the_ramp(pitch, roll, slope):
     """The limit is the depth from which a ray is at most a step above the plane or the ramp."""
     start, step = 0.9, 0.05
     ramp = {"ramp_start": np.array([start]), "ramp_slope": np.array([slope])}
@@ -154,15 +154,15 @@ def test_depth_0_is_outside_of_any_range():
     assert depth_range(0.15, 4.0, 0.00025) == (600, 16000)
 
 
-def test_pitch_and_roll_signs():
-    """Looking down: gravity leans forward. Rolled clockwise: gravity leans to the right."""
+def test_pitch_is_positive_downward_and_roll_clockwise():
+    """In a camera pitched down, gravity has a component forward; rolled clockwise, to the right."""
     assert down_vector(np.array([0.5]), np.array([0.0]))[0][2] > 0
     assert down_vector(np.array([0.0]), np.array([0.5]))[0][0] > 0
     plane = plane_from_down(down_vector(np.array([0.3]), np.array([-0.2])), np.array([0.7]))
     assert np.allclose([plane.pitch[0], plane.roll[0], plane.height[0]], [0.3, -0.2, 0.7])
 
 
-def test_plane_from_a_mount_transform():
+def test_the_plane_of_a_mount_has_its_height_pitch_and_roll():
     # Base: x forward, y left, z up. Level camera: z forward, x right, y down.
     T = np.eye(4)
     T[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
@@ -215,7 +215,7 @@ def test_ground_points_equal_the_reference(device, batch):
 # laws
 
 
-def test_a_lower_step_keeps_more(device):
+def test_a_lower_step_height_keeps_more_features(device):
     z = noise_depth(2, CAMERA)
     low = replace(Config(), ground=GroundConfig(step_height_m=0.02))
     more = kept(stages, z, level(2), CALIBRATION, low)

@@ -23,7 +23,7 @@ from rich.console import Console
 
 from jaxdet.cli import main
 from jaxdet.cli.help import formatted, pages, title_of
-from jaxdet.engine import executors
+from jaxdet.engine import placement
 from jaxdet.errors import FrameStatus
 from jaxdet.presets import preset
 from jaxdet.results.schemas import FRAMES_SCHEMA, LINKS_SCHEMA, OBSTACLES_SCHEMA, TRACKS_SCHEMA
@@ -95,7 +95,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", sorted(DOCUMENTS.keys() - {"queries"}))
 def test_every_snippet_runs(name, drive, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(executors, "BATCH", 8)  # one compiled program for all pages
+    monkeypatch.setattr(placement, "BATCH", 8)  # one compiled program for all pages
     text = DOCUMENTS[name].read_text(encoding="utf-8")
     names: dict[str, object] = {"__name__": name}
     for language, block in blocks(text):
@@ -243,7 +243,7 @@ def test_each_key_of_the_summary_is_explained():
     assert [key for key in keys if f"`{key}`" not in text] == []
 
 
-def test_pages_referred_to_exist():
+def test_pages_that_texts_refer_to_exist():
     found = pages()
     assert {*found} == {path.stem for path in (ROOT / "jaxdet/help").glob("*.md")}
     for path in DOCUMENTS.values():

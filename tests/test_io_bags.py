@@ -1,4 +1,4 @@
-"""ROS 1 bags and SQLite bags of rosbag2: they give the frames of MCAP, damaged or not."""
+"""ROS 1 bags and SQLite bags of rosbag2 give the frames of equal MCAP files, even if damaged."""
 
 import bz2
 import importlib.util
@@ -78,7 +78,7 @@ def test_tables_equal_those_of_the_mcap_file(mcap, bag, db3, tmp_path):
 
 @pytest.mark.parametrize("compress", [None, "lz4", "bz2"])
 @pytest.mark.parametrize("scan", [False, True])
-def test_bag_gives_the_frames_of_the_mcap_file(mcap, tmp_path, compress, scan):
+def test_a_bag_gives_the_frames_of_the_mcap_file(mcap, tmp_path, compress, scan):
     path = convert_log(mcap, tmp_path / "sim.bag", compress)
     with open_log(str(path), LogOptions(scan=scan)) as log, open_log(str(mcap)) as expected:
         assert by_index(log) is not scan
@@ -86,7 +86,7 @@ def test_bag_gives_the_frames_of_the_mcap_file(mcap, tmp_path, compress, scan):
 
 
 @pytest.mark.parametrize("scan", [False, True])
-def test_db3_gives_the_frames_of_the_mcap_file(mcap, db3, scan):
+def test_a_db3_file_gives_the_frames_of_the_mcap_file(mcap, db3, scan):
     with open_log(str(db3), LogOptions(scan=scan)) as log, open_log(str(mcap)) as expected:
         assert by_index(log) is not scan
         assert_same(log, expected)
@@ -169,7 +169,7 @@ def test_damaged_db3_accounts_for_every_message(db3, tmp_path, where, torn):
 
 
 @pytest.mark.parametrize("answer", ["SELECT 1 WHERE 0", "SELECT -1, 1, 1, NULL, 1"])
-def test_queries_of_a_damaged_db3_end(db3, monkeypatch, answer):
+def test_queries_of_a_damaged_db3_terminate(db3, monkeypatch, answer):
     """The query for all rows fails; queries for single rows return no row or an earlier one."""
     query = SqliteFile.query
 
@@ -207,7 +207,7 @@ def test_a_recording_in_several_formats_is_one_log(mcap, bag, db3, tmp_path):
     assert [path.name for path in named.paths] == ["sim.bag"]
 
 
-def test_folders_are_searched_through_links_and_in_any_case(mcap, tmp_path):
+def test_logs_are_found_through_links_and_with_suffixes_in_upper_case(mcap, tmp_path):
     """A link to a parent folder is followed once; a broken link is reported."""
     folder, elsewhere = tmp_path / "logs", tmp_path / "elsewhere"
     folder.mkdir()

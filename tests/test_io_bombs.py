@@ -34,7 +34,7 @@ SAID = {
     "wide_json": "messages can't be decoded",
     "jpeg_scans": "no_color",
 }
-"""Patterns of the expected errors."""
+"""Patterns of the expected error messages, by bomb."""
 
 READ = """
 import sys, time
@@ -80,11 +80,11 @@ def check(folder: Path, names: Iterable[str]) -> None:
         assert "\n" not in message and message.isprintable()
 
 
-def test_bombs_end_quickly_with_an_error(tmp_path):
+def test_decompression_bombs_end_quickly_with_an_error(tmp_path):
     check(tmp_path, BOMBS.keys() - LARGE)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(LARGE))
-def test_large_bombs_end_within_seconds(tmp_path, name):
+def test_large_decompression_bombs_end_within_seconds(tmp_path, name):
     check(tmp_path, [name])

@@ -258,7 +258,7 @@ def test_infrared_is_not_shown_with_depth_aligned_to_colour(tmp_path):
         ("theora_image_transport/msg/Packet", "video (Theora)"),
     ],
 )
-def test_colour_as_video_is_a_note(tmp_path, schema, reason):
+def test_colour_as_video_is_reported_in_a_note(tmp_path, schema, reason):
     def more(log, i, at):
         log.json("/cam/color/video", schema, {"data": ""}, at)
 
@@ -273,7 +273,7 @@ def test_colour_as_video_is_a_note(tmp_path, schema, reason):
 
 
 @pytest.mark.parametrize("form", ["h264", "webp", "zstd"])
-def test_unsupported_colour_formats_are_a_note(tmp_path, form):
+def test_unsupported_colour_formats_are_reported_in_a_note(tmp_path, form):
     data = struct.pack("<IIBII", 3, 4, 0, 12, 7) + b"of_mars" if form == "zstd" else b"\0" * 90
 
     def more(log, i, at):
@@ -314,7 +314,7 @@ def test_depth_compressed_by_zstd_is_read(tmp_path):
         np.testing.assert_array_equal(log.read(range(3)).frames.depth, scene.depth)
 
 
-def test_several_colour_topics_are_a_note(tmp_path):
+def test_several_colour_topics_are_reported_in_a_note(tmp_path):
     def more(log, i, at):
         for name in ("one", "other"):
             image = ros_image(smooth(i), "rgb8", at, COLOR_FRAME)
@@ -327,7 +327,7 @@ def test_several_colour_topics_are_a_note(tmp_path):
         np.testing.assert_array_equal(log.read(range(8)).frames.depth, scene.depth)
 
 
-def test_an_uncalibrated_colour_camera_is_a_note_unless_flags_refer_to_it(tmp_path):
+def test_an_uncalibrated_colour_camera_is_an_error_only_if_flags_refer_to_it(tmp_path):
     scene = make_scene(3)
     path = str(tmp_path / "x.mcap")
     with LogFile(tmp_path / "x.mcap") as log:
@@ -418,7 +418,7 @@ def test_two_depth_cameras_without_colour_require_a_choice(tmp_path):
 
 
 @pytest.mark.parametrize(("every", "reported"), [(1, False), (3, True)])
-def test_a_depth_topic_with_more_images_is_a_note(tmp_path, every, reported):
+def test_a_depth_topic_with_more_images_is_reported_in_a_note(tmp_path, every, reported):
     """Depth is aligned on the robot, which is too slow for some of the images."""
     scene = make_scene(6)
     with LogFile(tmp_path / "x.mcap") as log:

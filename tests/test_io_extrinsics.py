@@ -112,7 +112,7 @@ def test_missing_extrinsics_are_an_error_that_names_the_flag(tmp_path):
 
 
 @pytest.mark.parametrize("scale", [None, 1, 2])
-def test_images_with_one_frame_and_lens_have_no_extrinsics(tmp_path, scale):
+def test_images_of_one_tf_frame_and_lens_need_no_extrinsics(tmp_path, scale):
     """Some drivers set the same frame for all cameras of a device."""
     path = tmp_path / "log.mcap"
     size = tuple(side // (scale or 1) for side in COLOR_SIZE)

@@ -43,7 +43,7 @@ def aligned(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
 
 @pytest.fixture(scope="module")
 def raw(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
-    """Return messages of a simulated log with a separate depth camera, whose pose is in TF."""
+    """Return messages of a simulated log with a separate depth camera that has a pose in TF."""
     path = tmp_path_factory.mktemp("sim") / "raw.mcap"
     config = SimConfig(frames=6, width=160, height=120, depth_form="raw", extrinsics="tf")
     write_log(path, config)
@@ -67,7 +67,7 @@ def same(found: np.ndarray | None, expected: np.ndarray | None, atol: float = 1e
 
 
 def moved_by(number: int) -> Change:
-    """Move the odometry of a robot, to make another robot of it."""
+    """Return a change that moves the odometry of a robot, to make another robot of it."""
 
     def change(message: Message) -> None:
         if message.topic == "/tf":
@@ -148,7 +148,7 @@ def test_odometry_comes_from_the_robot_of_the_camera(tmp_path, aligned, prefix):
         assert not log.has_poses
 
 
-def test_a_frame_with_parents_on_two_topics_is_an_error_that_names_both(tmp_path, aligned):
+def test_a_tf_frame_with_parents_on_two_topics_is_an_error_that_names_both(tmp_path, aligned):
     def elsewhere(message: Message) -> list[Message] | None:
         if message.topic != "/tf_static":
             return []
@@ -162,7 +162,7 @@ def test_a_frame_with_parents_on_two_topics_is_an_error_that_names_both(tmp_path
 
 
 @pytest.mark.parametrize("frame", ["base_footprint", "base_link", "camera_link"])
-def test_the_world_may_be_any_frame_of_the_tree(tmp_path, aligned, frame):
+def test_the_world_may_be_any_frame_of_the_tf_tree(tmp_path, aligned, frame):
     with opened(tmp_path, aligned, world_frame=frame) as log:
         assert log.world_frame == frame and log.T_world_camera is not None
         assert np.ptp(log.T_world_camera, axis=0).max() < 1e-12
@@ -229,7 +229,7 @@ def test_binning_and_regions_of_interest_are_applied(
 
 
 @pytest.mark.parametrize("region", [(0, 0, 0, 0), (5, 5, 160, 120)])
-def test_images_that_fit_no_region_are_refused_with_all_sizes(tmp_path, aligned, region):
+def test_the_error_for_images_that_fit_no_region_names_all_sizes(tmp_path, aligned, region):
     """Images of the size of the region contradict the binning."""
 
     def other(message: Message) -> None:
@@ -372,7 +372,7 @@ def compressed_floats(factor: float) -> Change:
 
 
 @pytest.mark.parametrize("make", [in_floats, compressed_floats])
-def test_floats_in_millimetres_are_an_error_that_names_the_flag(tmp_path, aligned, make):
+def test_float_depth_in_millimetres_is_an_error_that_names_the_flag(tmp_path, aligned, make):
     slack = 0 if make is in_floats else 40
     with opened(tmp_path, aligned) as whole:
         expected = depths(whole).astype(int)
@@ -586,7 +586,7 @@ def test_body_frames_are_converted_to_optical_frames(tmp_path, aligned, named):
 
 
 def test_a_body_frame_is_recognized_from_poses_in_the_world(tmp_path, raw):
-    """TF of a tracked camera has no robot, so only the world gives the vertical."""
+    """TF of a tracked camera has no frame of a robot, so only the world defines the vertical."""
     with opened(tmp_path, raw) as whole:
         expected = whole.T_world_camera
     assert expected is not None

@@ -215,7 +215,7 @@ def test_changes_of_a_folder_while_reading_are_reported(tmp_path):
 
 
 def test_results_record_the_image_folder(tmp_path):
-    """The folder is found again, a copy counts as the same log, and results in it are refused."""
+    """The folder is found again, a copy counts as the same log, and results inside are refused."""
     folder = write_tum(tmp_path / "room")
 
     def results(output: Path) -> Path:

@@ -139,7 +139,7 @@ def test_metres_are_rounded_and_invalid_depth_is_zero():
         image(RGB[:, :7], "yuyv"),
     ],
 )
-def test_colour_that_does_not_fit_is_a_bad_frame(message):
+def test_colour_whose_data_contradicts_its_header_is_an_error(message):
     with pytest.raises(FrameError):
         color(message)
 
@@ -201,7 +201,7 @@ def test_rvl_images_survive_a_round_trip(pixels):
     np.testing.assert_array_equal(rvl(encode_rvl(pixels), *pixels.shape), pixels)
 
 
-def test_rvl_by_hand():
+def test_an_rvl_stream_written_by_hand_is_decoded():
     """Two zeros, 5 and 3 are coded as counts 2 and 2, differences +5 (10) and -2 (3)."""
     nibbles = [2, 2, 0b1010, 1, 3, 0, 0, 0]
     word = sum(nibble << (28 - 4 * place) for place, nibble in enumerate(nibbles))

@@ -38,11 +38,11 @@ from tests.io_helpers import (
 MS = 1_000_000
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 LEVEL = (-0.5, 0.5, -0.5, 0.5)
-"""Rotation of a camera that looks ahead."""
+"""Quaternion of a camera that looks ahead."""
 
 
 class Sender:
-    """Writer of messages with few contents and many timestamps."""
+    """Writer of images that repeat three pictures with new timestamps."""
 
     def __init__(self, log: LogFile) -> None:
         scene = make_scene(3)
@@ -132,7 +132,9 @@ def write_random(path: Path, seed: int) -> LogOptions:
 
 
 def test_random_logs_are_equal_by_index_and_by_scan(tmp_path, monkeypatch):
-    """By the index, transforms are read at opening or, with a maximum of 0, around frames."""
+    """Transforms are read when a log is opened by its index or, if there are more than a maximum,
+    together with the frames near them; the maximum is the default or 0.
+    """
     monkeypatch.setattr(windows, "_BESIDE", 1)
     path, same = tmp_path / "x.mcap", dict.fromkeys((indexed._MAX_MOTIONS, 0), 0)
     for seed in range(16):
@@ -373,7 +375,7 @@ def test_notes_of_batches_add_up_for_any_batch_size(tmp_path):
             assert totals[0] == totals[1] == totals[2]
 
 
-def test_transforms_that_change_late_or_are_rare_are_not_constant(tmp_path, monkeypatch):
+def test_transforms_that_change_late_or_are_rare_are_not_taken_for_constant(tmp_path, monkeypatch):
     """A sample of the transforms would show them as constant, or one of them only once."""
     monkeypatch.setattr(indexed, "_MAX_MOTIONS", 10)
     monkeypatch.setattr(indexed, "FIRST_MOTIONS", 4)
@@ -408,7 +410,7 @@ def test_opening_intact_logs_never_scans(tmp_path):
             assert is_indexed(log)
 
 
-def test_info_counts_pairs_with_check(tmp_path, capsys):
+def test_info_counts_pairs_if_the_flag_check_is_given(tmp_path, capsys):
     path = str(write_log(tmp_path / "x.mcap", make_scene(20), chunk_size=6000))
     assert info.main([path]) == 0
     text = capsys.readouterr().out

@@ -41,7 +41,7 @@ class Layout(NamedTuple):
     color_encoding: str = "rgb8"
     depth_encoding: str = "16UC1"
     missing: float = float("nan")
-    """Value of missing measurements in metres."""
+    """Value of missing measurements, if depth is in metres."""
     model: str = "plumb_bob"
     coefficients: int = 5
     raw_depth: str = ""

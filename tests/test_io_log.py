@@ -88,7 +88,7 @@ def test_aligned_depth_takes_precedence_over_raw_depth(tmp_path):
         assert_holds(log, raw)
 
 
-def test_metres_equal_millimetres(tmp_path):
+def test_depth_in_metres_equals_depth_in_millimetres(tmp_path):
     scene = make_scene()
     with LogFile(tmp_path / "log.mcap") as log:
         write_calibration(log)

@@ -47,7 +47,7 @@ STAMPS = st.lists(st.integers(0, 60), max_size=12).map(lambda s: np.array(sorted
             [0, 33, 66, 99],
             [0, 66],
             [0, 0, 1, 1],
-        ),  # colour at half the rate gives a tie, then the nearest
+        ),  # colour at half the rate: frame 1 is equally far from both images
         ([0], [101, 268], [0]),
         ([0], [151], [-1]),
         ([50], [40, 60], [0]),
@@ -56,7 +56,7 @@ STAMPS = st.lists(st.integers(0, 60), max_size=12).map(lambda s: np.array(sorted
         ([], [1], []),
     ],
 )
-def test_nearest_colour_image_by_hand(depth, color, expected):
+def test_nearest_colour_images_are_those_found_by_hand(depth, color, expected):
     stamps = [np.array(items, np.int64) * MS for items in (depth, color)]
     assert nearest(*stamps, 0.15).tolist() == expected
 
@@ -74,7 +74,7 @@ def test_the_nearest_image_has_the_smallest_time_difference_within_the_tolerance
             assert number == np.flatnonzero(apart == apart.min())[0]
 
 
-def test_interpolation_equals_slerp():
+def test_interpolated_rotations_equal_slerp():
     random = np.random.default_rng(0)
     sample_ns = np.cumsum(random.integers(10 * MS, 90 * MS, 40))
     rotations = Rotation.random(40, rng=1)
@@ -149,7 +149,7 @@ def test_repeated_equal_transforms_hold_at_all_times():
         assert np.isfinite(T).all(axis=(1, 2)).tolist() == known
 
 
-def test_inverse_and_difference_of_transforms():
+def test_inverse_and_difference_of_transforms_match_a_hand_calculation():
     first = motion_matrix(np.array([1.0, 2, 3]), Rotation.from_euler("z", 0.2).as_quat())
     second = motion_matrix(np.array([1.0, 2, 3.5]), Rotation.from_euler("z", -0.1).as_quat())
     np.testing.assert_allclose(inverse(first) @ first, np.eye(4), atol=1e-12)

@@ -76,7 +76,7 @@ def test_invalid_times_are_errors_that_name_the_flag(text):
         LogOptions(stop=text)
 
 
-def test_every_must_be_at_least_1():
+def test_the_flag_every_must_be_at_least_1():
     with pytest.raises(ConfigError, match="--every must be at least 1"):
         LogOptions(every=0)
 
@@ -111,7 +111,7 @@ def test_a_part_has_the_images_timestamps_and_pairs_of_the_complete_log(log_path
                 assert_same_batch(batch, whole.read(log.frames))
 
 
-def test_units_cover_a_part(log_path):
+def test_batches_of_a_part_have_its_frames(log_path):
     with open_only(str(log_path), LogOptions(start="0.5", every=4)) as log:
         assert list(log.frames) == list(range(16, 60, 4))
         found = [batch.frames.number.tolist() for batch in log.batches(2, 17, 30)]
@@ -204,13 +204,9 @@ def test_the_search_for_a_time_reads_few_frames():
         seen.append(number)
         return 10 * (1 + number)
 
-    random = np.random.default_rng(0)
-    for jitter in (0, 3, 20_000):
-        about_ns = 10 * np.arange(10**6) + 10**15 + random.integers(0, 10 * jitter + 1, 10**6)
-        about_ns.sort()
-        for first in (0, 1, 7, 500_000, 999_999):
-            seen.clear()
-            start = f"{10 * first / 1e9:.9f}"
-            assert find_part(10, about_ns, stamp_ns, start, None, 1, "log") == range(first, 10**6)
-            assert len(seen) < 40 and {abs(n - first) for n in seen if n} <= set(range(70_000))
-    assert find_part(0, about_ns[:0], stamp_ns, "1", None, 1, "log") == range(0)
+    for first in (0, 1, 7, 500_000, 999_999):
+        seen.clear()
+        start = f"{10 * first / 1e9:.9f}"
+        assert find_part(10, 10**6, stamp_ns, start, None, 1, "log") == range(first, 10**6)
+        assert len(seen) <= 21
+    assert find_part(0, 0, stamp_ns, "1", None, 1, "log") == range(0)

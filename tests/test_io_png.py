@@ -16,7 +16,7 @@ from jaxdet.io.png import MAGIC, decode_png_color, decode_png_depth, read_png_he
 
 RANDOM = np.random.default_rng(5)
 KINDS = {"grey": (0, 1), "rgb": (2, 3), "grey alpha": (4, 2), "rgb alpha": (6, 4)}
-"""Colour type and samples per pixel."""
+"""Colour type of PNG and number of samples per pixel, by kind of image."""
 NO_DATA = [(b"IEND", b"")]
 
 
@@ -46,7 +46,7 @@ def filtered(samples: bytes, height: int, step: int, filters: list[int]) -> byte
 
 
 def chunks(items: list[tuple[bytes, bytes]]) -> bytes:
-    """Return a file of these chunks."""
+    """Return a PNG file with these chunks."""
     parts = (struct.pack(">I", len(data)) + name + data for name, data in items)
     checks = (struct.pack(">I", zlib.crc32(name + data)) for name, data in items)
     return MAGIC + b"".join(a + b for a, b in zip(parts, checks, strict=True))
@@ -151,8 +151,9 @@ def split(data: bytes) -> list[tuple[bytes, bytes]]:
 
 
 LINES = bytes(6 * (1 + 2 * 8))
-"""Chunks of a 16-bit grey image of 8x6 zeros."""
+"""Lines of a 16-bit grey image of 8x6 zeros, each with its filter."""
 GREY16 = head(8, 6, 16, 0)
+"""Header of that image."""
 
 
 def damaged() -> dict[str, tuple[list[tuple[bytes, bytes]], str]]:

@@ -163,7 +163,7 @@ def test_an_invalid_transform_does_not_affect_others_in_its_message(
             assert "'finger': 21 transforms were ignored: quaternion (" in text
 
 
-def test_quaternions_equal_scipy() -> None:
+def test_quaternions_equal_those_of_scipy() -> None:
     turns = Rotation.random(200, random_state=1)
     half = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0.6, 0.8, 0, 0]]
     turns = Rotation.concatenate([turns, Rotation.from_quat(half)])

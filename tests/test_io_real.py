@@ -1,4 +1,4 @@
-"""Recordings of others, and files that are not recordings."""
+"""Recordings made by others, and files that are not recordings."""
 
 from pathlib import Path
 

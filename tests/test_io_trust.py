@@ -232,7 +232,7 @@ def test_given_intrinsics_override_changing_calibrations(tmp_path):
 
 
 def drive(path: Path, start: int, K: tuple[float, ...] = COLOR_K, count: int = 3) -> None:
-    """Write a log that begins at a time."""
+    """Write a log that begins at the time ``start`` [ns]."""
     shift = start - START
     scene = make_scene(count)
     with LogFile(path) as log:
@@ -341,7 +341,7 @@ def test_printable_characters_are_kept_and_others_escaped(text):
 
 
 @given(st.binary(max_size=200))
-def test_random_bytes_as_declarations_are_errors_or_parsed(data):
+def test_random_bytes_as_schemas_and_channels_are_errors_or_parsed(data):
     declared = Declarations()
     for add in (declared.add_schema, declared.add_channel):
         try:
@@ -401,7 +401,7 @@ def test_definitions_are_reduced_to_the_layout_of_fields():
 
 @pytest.fixture
 def fail(monkeypatch) -> Callable[..., list[float]]:
-    """Return a function that makes the next reads fail; it returns the waits [s]."""
+    """Return a function that makes the next reads fail, and returns a list of later waits [s]."""
     left, waited, number = 0, [], errno.EIO
 
     def flaky(call: Callable[..., Any]) -> Callable[..., Any]:

@@ -45,7 +45,7 @@ MANY = [pytest.param([stop] * 7, marks=pytest.mark.slow) for stop in (KILL, INT,
 def test_a_command_killed_with_its_workers_is_resumed(
     tmp_path: Path, stops: list[signal.Signals]
 ) -> None:
-    """The command is killed at a random time; the next one removes its temporary files."""
+    """The command is killed at a random time; the next command removes what the first one left."""
     (logs := tmp_path / "logs").mkdir()
     for seed in range(4):
         write_log(logs / f"{seed}.mcap", SimConfig(frames=8, width=96, height=72, seed=seed))

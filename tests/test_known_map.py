@@ -74,7 +74,7 @@ def test_obstacles_without_a_contour_are_compared_by_their_front_edge(tmp_path: 
     assert links["persistence"].null_count == 12
 
 
-def test_unknown_cells_behind_an_outline_of_the_map_belong_to_it(tmp_path: Path) -> None:
+def test_unknown_cells_behind_an_occupied_line_belong_to_the_same_object(tmp_path: Path) -> None:
     folder = by_hand(tmp_path / "r", FRAMES)
     grid = Grid(np.full((120, 120), FREE, np.int8), (-1.0, -3.0), 0.05)
     column, row = np.floor(grid.places(np.array([1.5, -LEFT[0]]))).astype(int)

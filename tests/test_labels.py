@@ -110,7 +110,7 @@ def test_detections_are_matches_false_positives_or_ignored() -> None:
 
 @pytest.fixture
 def scored(drive: Path, tmp_path: Path) -> Callable[[Any], dict[str, Any]]:
-    """Score a run on the simulated drive against labels."""
+    """Return a function that scores the simulated drive against labels."""
 
     def run(labels: Any) -> dict[str, Any]:
         path, out = write(tmp_path, labels), tmp_path / "out"

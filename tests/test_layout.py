@@ -12,10 +12,10 @@ ROOT = Path(__file__).resolve().parents[1]
 STAGES = ("align", "ground", "features", "cluster", "footprint")
 """Stages of the published method."""
 STEPS = ("cells", "floor", "surfaces", "obstacles", "outlines", "free")
-"""Steps on depth cells, whose programs are headers of kernels."""
+"""Steps of the default on depth cells; each is a header of the kernels."""
 BENCHMARKS = {*STAGES, *STEPS, "pipeline"} - {"ground"}
 SECTIONS = ("ground", "features", "cluster", "footprint", "floor", "surface", "obstacle")
-"""Sections of the configuration; that of a step has its name in the singular."""
+"""Sections of the configuration; the section of a step is the step's name in the singular."""
 SIDES = ("reference", "stages")
 EXPORTS = {"detect", "find_floors", "paper"}
 HEAVY = ("cv2", "jax", "matplotlib", "mcap", "numba", "pyarrow", "warp")

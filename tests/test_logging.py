@@ -28,7 +28,7 @@ def level() -> Iterator[None]:
         (["-q", "-vv"], False, False),
     ],
 )
-def test_flags_set_the_level(
+def test_flags_set_the_logging_level(
     flags: list[str],
     info: bool,
     debug: bool,
@@ -44,7 +44,7 @@ def test_flags_set_the_level(
     assert len(done) == info and ("jaxdet: drive: 5 of 5 frames" in lines) == debug
 
 
-def test_programs_receive_the_records(
+def test_programs_that_use_jaxdet_receive_the_log_records(
     drive: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "empty.mcap").write_bytes(b"")

@@ -17,7 +17,7 @@ lengths of both logs.
 
 
 def peak_mib(log: Path, output: Path) -> float:
-    """Return the memory of all processes of ``jaxdet run``; shared memory counts once."""
+    """Return the peak memory of all processes of a run [MiB]; shared memory counts once."""
     command = [sys.executable, "-m", "jaxdet", "run", str(log), "--output", str(output)]
     command += ["--quiet", "--pictures", "0", "--workers", "2"]
     with subprocess.Popen(command) as process, PeakMemory(process.pid) as peak:

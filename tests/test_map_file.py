@@ -167,7 +167,7 @@ def test_missing_files_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
-def test_distances_to_the_map_equal_a_search_over_all_cells(yaw: float) -> None:
+def test_distances_to_the_map_equal_those_of_a_search_over_all_cells(yaw: float) -> None:
     """The distances agree within one cell."""
     rng = np.random.default_rng(1)
     states = np.where(rng.random((30, 40)) < 0.01, OCCUPIED, FREE).astype(np.int8)

@@ -1,4 +1,4 @@
-"""Memory limit of a run: its notation, its division among processes, and that it holds."""
+"""Memory limit of a run: how it is written and divided among processes, and that runs obey it."""
 
 import json
 import pickle
@@ -69,11 +69,11 @@ NO_SIZES = ["", "x", "-1G", "1.2.3G", "1EiB", "nan", "1e9", "12 parsec", "9" * 4
 
 
 @pytest.mark.parametrize("text", NO_SIZES)
-def test_invalid_sizes_are_errors(tmp_path, text):
+def test_invalid_sizes_are_errors(text):
     with pytest.raises(
         ConfigError, match=r"--memory: expected a size, got .*; pass a number .* 4GiB"
     ):
-        RunOptions(tmp_path, memory=text)
+        RunOptions(memory=text)
 
 
 @pytest.mark.parametrize(
@@ -205,7 +205,7 @@ def test_a_log_of_large_chunks_is_read_by_fewer_workers(tmp_path, monkeypatch, e
     )
 
 
-def test_split_files_read_only_for_transforms_have_the_same_limit(tmp_path):
+def test_a_split_read_only_for_transforms_has_the_same_limit_of_chunks(tmp_path):
     """The static transforms that are found do not depend on the available memory."""
     scene = make_scene(12)
     for number in (0, 1):
@@ -223,8 +223,8 @@ def test_split_files_read_only_for_transforms_have_the_same_limit(tmp_path):
 
 
 @pytest.mark.parametrize("total", [704, 1100, 1371, 1500])
-def test_memory_raised_as_an_error_says_is_enough(total):
-    """Below 1376 MiB chunks get their minimum, which added memory raises only later."""
+def test_the_memory_that_an_error_message_requests_is_sufficient(total):
+    """Up to 1376 MiB the limit of a chunk is its minimum; only memory beyond that raises it."""
     memory = Memory(f"{total}MiB", 1)
     chunk, index = memory.reading.chunk + 5 * MIB, memory.reading.messages // 64 + 5000
     for check, size in (check_chunk, chunk), (check_index, index):
@@ -235,7 +235,7 @@ def test_memory_raised_as_an_error_says_is_enough(total):
         check(size, "a.mcap", Memory(f"{total + int(more[1])}MiB", 1).reading)
 
 
-def test_the_default_is_always_sufficient(monkeypatch):
+def test_the_default_memory_is_always_sufficient(monkeypatch):
     monkeypatch.setattr("jaxdet.engine.memory.machine_memory", lambda: 400 * MIB)
     assert Memory(None, 4).workers == 1
     with pytest.raises(ConfigError, match="100M is too little for any log; give --memory 704MiB"):

@@ -39,7 +39,7 @@ def test_centroid_is_the_mean_of_the_points() -> None:
     np.testing.assert_array_equal(found.minimum[0, 0], np.float32([0.003, -0.006, 0.009]))
 
 
-def test_distance_of_the_nearest_point_of_each_contour() -> None:
+def test_the_distance_of_a_contour_is_that_of_its_nearest_point() -> None:
     points, count = np.array([[6, 8], [-3, 4], [5, 12]], np.int32), np.array([0, 2, 0, 1, 0])
     assert metric.nearest(points, count).tolist() == [0, 5, 0, 13, 0]
     assert metric.nearest(points[:0], count[:1]).tolist() == [0]

@@ -1,4 +1,4 @@
-"""C++ of the kernels: each header compiles separately, and corners run under sanitizers."""
+"""C++ of the kernels: headers compile separately, and corner detection runs under sanitizers."""
 
 import shutil
 import subprocess
@@ -24,7 +24,7 @@ FLAGS += ["-Wno-missing-field-initializers", "-x", "c++", "-"]
 
 
 def faults(source: str) -> str:
-    """Return the messages of the compiler for a file, with the headers on its path."""
+    """Return the messages of the compiler for C++ code that includes headers of the kernels."""
     command = [str(COMPILER), "-I", str(INCLUDE), *FLAGS]
     return subprocess.run(command, input=source, capture_output=True, text=True).stderr
 

@@ -53,7 +53,7 @@ def simulated() -> Iterator[Case]:
 
 
 def odd() -> Iterator[Case]:
-    """Yield noise and smooth depth of unusual sizes, of separate colour cameras and of lenses."""
+    """Yield noise and smooth depth of unusual sizes, with separate colour cameras and lenses."""
     cameras = [small(263, 195), small(33, 20), small(9, 8)]
     for lens in ("plumb_bob", "rational", "inverse"):
         cameras.append(Calibration(with_lens(resized(D435_DEPTH, 161, 119), lens)))
@@ -75,7 +75,7 @@ def built(folder: Path, *flags: str) -> Path:
     return program
 
 
-def test_threads_of_a_block_equal_a_single_thread(tmp_path: Path) -> None:
+def test_results_of_the_threads_of_a_block_equal_those_of_a_single_thread(tmp_path: Path) -> None:
     check(built(tmp_path, "-O1", "-DSIMT"), simulated())
 
 

@@ -19,7 +19,7 @@ def found() -> jaxdet.BatchResult:
     return detector.batch(np.stack([NOTHING, WALL]))
 
 
-def test_html_tables_are_escaped_and_limited():
+def test_html_tables_are_escaped_and_have_a_maximum_length():
     html = table("<b>", {"a": ["<script>"] * (MOST_ROWS + 3), "b": [0.5] * (MOST_ROWS + 3)})
     assert "<script>" not in html and "&lt;script&gt;" in html
     assert html.count("<td>0.50</td>") == MOST_ROWS and "and 3 more" in html

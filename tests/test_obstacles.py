@@ -51,7 +51,7 @@ class Picture:
         return obstacles(self.label, self.free, self.view, FAR, UNIT, config)
 
     def numbers(self, config: ObstacleConfig = CONFIG) -> list[int]:
-        """Return the obstacle of each painted surface; assert that its cells have the same."""
+        """Return the obstacle of each painted surface; assert that all its cells belong to it."""
         label = self.found(config)
         each = [np.unique(label[self.label == n]) for n in range(self.label.max() + 1)]
         assert all(len(one) == 1 for one in each)
@@ -203,7 +203,8 @@ def test_extents_are_trimmed_by_a_twentieth() -> None:
     assert known.cells.tolist() == [400, 18]
     assert known.rows.tolist() == [10, 18] and known.columns.tolist() == [40, 1]
     assert known.nearest.tolist() == [1000, 3000]
-    assert known.left[0] == -180 and known.right[0] == 170  # of -200 to 190, 20 cells a side
+    # Of the cells from -200 to 190, 20 are trimmed at each side.
+    assert known.left[0] == -180 and known.right[0] == 170
     assert known.top[0] == 400 - 60 and known.bottom[0] == 400 - 195
     assert known.depth.tolist() == [0, 0]
 
@@ -228,7 +229,7 @@ def drawn(things: list[tuple]) -> Picture:
 
 
 @given(spans)
-def test_numbers_are_sorted_by_the_nearest_point_without_gaps(things: list[tuple]) -> None:
+def test_obstacles_are_numbered_without_gaps_by_their_nearest_point(things: list[tuple]) -> None:
     picture = drawn(things)
     label = picture.found()
     count = label.max() + 1

@@ -128,7 +128,7 @@ def test_obstacles_equal_the_reference_on_one_cell() -> None:
 
 
 def test_obstacles_equal_the_reference_on_a_room_split_at_its_corners() -> None:
-    """Two side walls are connected by one across."""
+    """Two side walls are connected by a wall across."""
     room = painted(0, 20, 120, 1)
     depth = np.tile(
         np.minimum(np.minimum(np.arange(120), np.arange(120)[::-1]) * 80 + 900, 3000), 20

@@ -62,7 +62,7 @@ def test_a_map_has_no_bytes_that_depend_on_the_version_of_python(tmp_path: Path)
     assert all(np.array_equal(a, b) for a, b in zip(image, again, strict=True))
 
 
-def test_positions_of_map_cells() -> None:
+def test_the_map_of_an_outline_is_at_its_position() -> None:
     grid = OccupancyMap()
     grid.add(square(1.0, 2.0))
     image = grid.image()
@@ -80,7 +80,7 @@ def test_obstacles_without_a_position_are_not_on_the_map() -> None:
     assert grid.skipped == 2
 
 
-def test_outlines_together_count_as_separate_ones() -> None:
+def test_outlines_added_together_count_separately() -> None:
     rng = np.random.default_rng(3)
     middle = rng.uniform(-15, 15, (60, 1, 2))
     turn, side = rng.uniform(0, 7, (60, 1)), rng.uniform(0.0, 2.0, (60, 1, 2))
@@ -131,7 +131,7 @@ def test_free_cells_are_counted_once_per_frame_in_any_order() -> None:
     assert a.free[int(row), int(column)] == 2
 
 
-def test_a_cell_may_be_occupied_and_free() -> None:
+def test_a_map_cell_may_be_counted_as_occupied_and_as_free() -> None:
     grid = OccupancyMap()
     grid.add(square(0.3, 0.3))
     near, far = fan(0.0, 0.0, 0.5), fan(1e12, 1e12, 0.5)

@@ -82,7 +82,7 @@ def test_contour_is_the_nearest_cell_of_each_column() -> None:
     assert points.shape == (3, 4, 2) and points.dtype == np.int32
 
 
-def test_contours_are_limited_to_the_slots() -> None:
+def test_contours_are_limited_to_the_number_of_slots() -> None:
     label = np.array([[0, 1, 2]])
     points, count = contours(label, label, label + 5, 2)
     assert count.tolist() == [1, 1] and points[:, 0].tolist() == [[0, 5], [1, 6]]
@@ -133,7 +133,7 @@ def test_contours_are_split_at_bends_above_the_threshold() -> None:
         assert straight_parts(line, 5 * 150, 400, 10**6) == parts
 
 
-def test_large_coordinates_are_split_like_small_ones() -> None:
+def test_contours_with_large_coordinates_are_split_like_small_ones() -> None:
     """Lengths and products of the full 16-bit range fit in 64 bits."""
     room = [(-800, y) for y in range(1000, 3000, 100)] + [(x, 3000) for x in range(-800, 800, 100)]
     far = np.array(room, np.int32) * 40
@@ -149,7 +149,7 @@ def test_a_jump_is_a_corner_only_when_it_is_deep() -> None:
     assert len(straight_parts(np.array(legs), 150, 400, 500)) > 1
 
 
-def test_direction_of_lines_and_single_points() -> None:
+def test_fitted_directions_of_lines_and_single_points_match_a_hand_calculation() -> None:
     one = 1 << DIRECTION_BITS
     assert fitted_direction(np.array([[700, 900]])).tolist() == [one, 0]
     flat = np.stack([np.arange(-300, 300, 20), np.full(30, 1200)], axis=1)
@@ -158,7 +158,7 @@ def test_direction_of_lines_and_single_points() -> None:
     assert degrees_of(fitted_direction(turned(flat, 30))) == pytest.approx(30, abs=0.1)
 
 
-def test_span_by_hand() -> None:
+def test_the_span_of_an_obstacle_matches_a_hand_calculation() -> None:
     points = np.array([[3, 9], [-2, 5], [1, 7]])
     assert span_of(points, np.array([1, 0]), LONG).tolist() == [-2, 3, 5, 9]
     assert span_of(points, np.array([3, 4]), LONG).tolist() == [14, 45, 15, 23]
@@ -174,7 +174,7 @@ def test_smeared_points_in_front_of_a_wall_are_trimmed() -> None:
     assert lengths(span_of(wall, direction, 4000), direction).tolist() == [2990, 500]
 
 
-def test_ends_bent_in_the_margins_do_not_increase_the_depth() -> None:
+def test_ends_bent_in_the_margins_do_not_make_a_rectangle_deeper() -> None:
     """The object is 0.9 m wide; its left third, in the margin, bends 0.3 m toward the camera."""
     x = np.arange(-450, 450, 10)
     wall = np.stack([x, 2000 + np.minimum(x + 150, 0)], axis=1)
@@ -202,7 +202,7 @@ def test_the_margin_grows_with_the_square_of_z() -> None:
     np.testing.assert_allclose(metric.rectangles(one, 0.001, same), wide, atol=1e-12)
 
 
-def test_fitted_rectangle_by_hand() -> None:
+def test_a_fitted_rectangle_matches_a_hand_calculation() -> None:
     """For a box 0.6 m wide, 1.0 to 1.3 m ahead, A and B are the near side, with a margin."""
     edge, span = np.array([512, 0]), 512 * np.array([-100, 500, 1000, 1300])
     config = FootprintConfig(margin_m=0.03, margin_per_m2=0.0)
@@ -228,7 +228,7 @@ def test_the_rectangle_of_a_single_point_has_a_margin() -> None:
     np.testing.assert_allclose(corners.max(axis=0), [0.32, 1.22])
 
 
-# a known rectangle, and somebody else's code
+# known rectangles, and OpenCV
 
 
 @pytest.mark.parametrize("angle", [0, 10, 27, 45, 63, 80])
@@ -253,7 +253,7 @@ def test_rectangle_of_a_noisy_box_is_within_the_noise(angle: int) -> None:
 
 
 @given(st.integers(0, 89), st.integers(100, 900), st.integers(100, 900))
-def test_rectangle_equals_opencv(angle: int, wide: int, deep: int) -> None:
+def test_the_fitted_rectangle_equals_that_of_opencv(angle: int, wide: int, deep: int) -> None:
     """The minimum-area rectangle around all sides of a box, two of them visible, is the box."""
     s, t = np.linspace(0, wide, 25), np.linspace(0, deep, 25)
     sight = [(0, b) for b in t] + [(a, 0) for a in s]
@@ -289,9 +289,11 @@ def test_the_rectangle_holds_all_points(points: np.ndarray) -> None:
 
 
 @given(clouds)
-def test_no_direction_has_the_contour_nearer_to_the_visible_edges(points: np.ndarray) -> None:
+def test_no_other_direction_brings_the_contour_nearer_to_the_visible_edges(
+    points: np.ndarray,
+) -> None:
     def cost(c: int, s: int) -> int:
-        """Return the cost of edges facing the camera at the origin; huge if it is inside."""
+        """Return the cost of edges that face the camera at the origin; huge if none does."""
         away = [[1 << 40] * len(points)]
         for axis in ((c, s), (-s, c)):
             places = [axis[0] * x + axis[1] * y for x, y in points.tolist()]
@@ -315,7 +317,7 @@ def test_the_order_of_points_has_no_influence(points: np.ndarray) -> None:
 
 
 @given(arrays(np.int64, (3, 9), elements=st.integers(-1, 3)), st.integers(0, 2**32 - 1))
-def test_contours_are_among_the_cells(label: np.ndarray, seed: int) -> None:
+def test_points_of_contours_are_positions_of_cells(label: np.ndarray, seed: int) -> None:
     rng = np.random.default_rng(seed)
     right, forward = rng.integers(-900, 900, (2, *label.shape))
     points, count = contours(label, right, forward, 4)

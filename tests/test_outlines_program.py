@@ -88,7 +88,9 @@ def test_outlines_equal_the_reference_on_a_batch_with_and_without_obstacles() ->
 
 
 def test_outlines_equal_the_reference_on_an_obstacle_in_the_margins() -> None:
-    """The obstacle has cells in the outer eighths, and in each step more of them in between."""
+    """At first all cells of the obstacle are in the left and right eighths of the image; each
+    further case has more cells between these margins.
+    """
     batch = drawn((1, 12, 40), 1, seed=3, reach=3000)
     column = np.arange(40)
     for inner in range(0, 40, 5):

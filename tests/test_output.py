@@ -181,7 +181,7 @@ def test_overwriting_replaces_the_results_of_another_configuration(
     same_results(copy, done)
 
 
-def test_a_stopped_overwriting_run_is_resumed(
+def test_a_run_that_overwrites_is_resumed_after_a_stop(
     logs: Path, done: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """Each log is run once, and readers see only results of the new configuration."""
@@ -322,7 +322,7 @@ def test_code_in_received_results_is_never_executed(copy: Path, logs: Path, tmp_
 
 
 def test_a_runner_keeps_its_processes_between_runs(logs: Path, tmp_path: Path) -> None:
-    with engine.Runner("reference", workers=2) as one:
+    with engine.Runner(backend="reference", workers=2) as one:
         first = one.run(logs / "a.mcap", tmp_path / "out", preset="wheeled")
         assert one._pool.started
         workers = [worker.process.pid for worker in one._pool._workers]

@@ -25,7 +25,7 @@ TABLES = "frames.parquet", "obstacles.parquet"
 
 
 def in_depth(show: Callable[[np.ndarray], None]) -> Change:
-    """Change depth images."""
+    """Return a change that applies ``show`` to depth images."""
 
     def change(message: Message) -> None:
         if message.kind == "sensor_msgs/Image" and "depth" in message.topic:
@@ -167,7 +167,7 @@ def test_damaged_images_and_other_files_are_refused_as_masks(mask):
             LogOptions(mask=str(mask))
 
 
-def test_text_form_of_a_mask_by_hand():
+def test_the_text_form_of_a_mask_matches_an_example_by_hand():
     hidden = np.array([[True, True, False], [False, False, True]])
     assert as_text(hidden) == "3x2:0 2 3 1"
     assert LogOptions(mask=as_text(hidden)).mask == "3x2:0 2 3 1"

@@ -1,4 +1,4 @@
-"""Prior of the floor of each frame: decision by sampled frames, and its report."""
+"""Prior of each frame's floor: how sampled frames decide it, and how it is reported."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -151,7 +151,7 @@ def level_log(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
 def test_a_floor_below_the_base_frame_and_parallel_to_it_is_used(
     tmp_path: Path, level_log: list[Message], lower_m: float, tilt: float, lower: str
 ) -> None:
-    """What is above the floor of TF, or tilted, may be a table or a wall, and is not used."""
+    """A plane above the floor of TF, or tilted, may be a table or a wall, and is not used."""
 
     def mount(message: Message) -> None:
         if message.topic == "/tf_static":

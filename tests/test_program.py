@@ -81,7 +81,7 @@ def test_detections_equal_the_reference_with_one_pixel_of_depth(width, height, u
 def test_detections_equal_the_reference_with_large_images_and_lenses(
     device, name, lens, depth_size, color_size, corners
 ):
-    """Images are up to 2^20 pixels and more, as large as cameras have, some with odd sides."""
+    """Images are as large as those of large cameras, more than 2^20 pixels, some with odd sides."""
     calibration = small()._replace(
         color=with_lens(small(*color_size).image, lens), depth=small(*depth_size).depth
     )

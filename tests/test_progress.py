@@ -40,7 +40,7 @@ def test_no_step_is_slowest_before_the_first_frames() -> None:
     assert about(2, 0).bottleneck == "" and about(2, 0).rates == {}
 
 
-def test_line_of_progress_by_hand() -> None:
+def test_the_line_of_progress_shows_figures_computed_by_hand() -> None:
     found = about(16, 1, read=1.2, decode=19.2, transfer=0.02, compute=0.01, write=1.2, wait=9.0)
     state = found.bottleneck, found.rates
     now = Progress("a", 0, 1, 1200, 4000, 0, 950.04, *state)

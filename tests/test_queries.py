@@ -76,7 +76,7 @@ def last_value(text: str, names: dict[str, Any]) -> Any:
 
 
 def answer(engine: str, start: str, text: str) -> tuple[list[str], list[tuple]]:
-    """Return the columns and rows of a query."""
+    """Return the names of columns and the rows that a query returns."""
     if engine == "sql":
         with duckdb.connect() as database:
             database.execute(start)

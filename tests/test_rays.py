@@ -21,9 +21,9 @@ NOTHING = np.full(RAYS, NONE)
 def fan(
     stop: list[int], end: list[int], start: int = 500, behind: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return columns a cell apart that begin and end at these distances from where they meet.
+    """Return the free floor of columns a cell apart, from ``start`` to ``stop`` forward [mm].
 
-    They meet behind the foot, as for a camera that looks down.
+    The columns meet ``behind`` behind the foot, as for a camera that looks down.
     """
     slope = np.tan((np.arange(len(stop)) - (len(stop) - 1) / 2) * 0.0079)
     ahead = np.array([[start] * len(stop), stop])
@@ -32,7 +32,7 @@ def fan(
 
 
 def block(*places: tuple[int, int], wide: int = 1) -> np.ndarray:
-    """Return ranges on the rays of positions and their neighbours."""
+    """Return the ranges of obstacles at these positions, on their rays and ``wide`` neighbours."""
     nearest = NOTHING.copy()
     for right, forward in places:
         ray = AHEAD + round(np.degrees(np.arctan2(right, forward)) * 4)
@@ -55,7 +55,7 @@ CELLS = np.rint(
 ).astype(np.int64)
 """Rays of a small camera, level and 0.25 m above the floor."""
 FLOOR_AT = 250 / (9 * 0.0079)
-"""Depth of the floor in row 18."""
+"""Depth of the floor in row 18 [mm]."""
 
 
 def stands_of(
@@ -63,7 +63,8 @@ def stands_of(
     z: dict[tuple[int, int], int] | None = None,
     frame: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the ranges of obstacles from pixels, and from cells above the step, by index."""
+    """Return the ranges of obstacles from depths by (row, column): of pixels, and of cells above
+    the step height."""
     if frame is None:
         frame = floor_frames(flat_plane(np.array([0.25]), np.zeros(1), np.zeros(1)), 0.001)[0]
     pixels, depths = np.zeros((2, ROWS, COLUMNS), np.int64)
@@ -84,7 +85,7 @@ def test_bearings_equal_arctan2(right: int, forward: int) -> None:
     assert abs((apart + TURN / 2) % TURN - TURN / 2) <= 1 or right == forward == 0
 
 
-def test_half_a_cell_of_a_d435_has_the_angle_in_use() -> None:
+def test_the_angle_of_half_a_cell_used_here_is_that_of_a_d435() -> None:
     assert pytest.approx(1.5 / 380, rel=0.02) == HALF / (1 << 13)
 
 
@@ -103,7 +104,7 @@ def test_rays_ahead_and_to_the_right_have_exact_directions() -> None:
     assert edges[AHEAD, 0] < 0 < edges[AHEAD + 1, 0]
 
 
-def test_level_columns_are_rays() -> None:
+def test_columns_of_a_level_camera_are_rays() -> None:
     free, end = found(fan([3000] * 41, [FreeEnd.RANGE] * 41))
     seen = np.flatnonzero(free[:, 1])
     assert seen.tolist() == list(range(seen[0], seen[-1] + 1))
@@ -163,20 +164,20 @@ def test_the_nearest_pixel_of_a_tile_blocks_its_sectors() -> None:
     assert stands[AHEAD + 9] == int(np.hypot(1800, 5 * 0.0079 * 1800))
 
 
-def test_a_pixel_on_the_floor_does_not_block() -> None:
+def test_a_pixel_on_the_floor_does_not_block_rays() -> None:
     place, floor = (18, 15), round(FLOOR_AT)
     assert (stands_of({place: round(floor * 0.97)}) == NONE).all()
     assert stands_of({place: round(floor * 0.6)})[AHEAD] == round(floor * 0.6)
 
 
-def test_a_cell_blocks_if_its_nearest_pixel_is_too_near_or_on_the_floor() -> None:
+def test_a_cell_blocks_rays_if_its_nearest_pixel_is_too_near_or_on_the_floor() -> None:
     place, floor = (18, 15), round(FLOOR_AT)
     assert stands_of({place: 20}, {place: 2000})[AHEAD] == 2000
     assert stands_of({place: 1900}, {place: 2000})[AHEAD] == 1900
     assert stands_of({place: floor}, {place: floor})[AHEAD] == floor
 
 
-def test_all_pixels_block_if_the_floor_is_unknown() -> None:
+def test_all_pixels_block_rays_if_the_floor_is_unknown() -> None:
     frame = floor_frames(unknown_plane(1), 0.001)[0]
     assert stands_of({(18, 15): 3900}, frame=frame)[AHEAD] == 3900
 

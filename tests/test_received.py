@@ -58,7 +58,7 @@ def test_values_that_no_run_writes_are_errors_of_one_line(
 
 @pytest.mark.parametrize("column", ["path", "speed_mps"])
 @pytest.mark.parametrize("change", [lambda values: values[:-1], lambda values: []])
-def test_paths_have_as_many_points_as_speeds(tracked, tmp_path, capsys, column, change):
+def test_paths_must_have_as_many_points_as_speeds(tracked, tmp_path, capsys, column, change):
     results = tmp_path / "results"
     shutil.copytree(tracked, results)
     table = results / "a/tracks.parquet"

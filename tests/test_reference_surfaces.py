@@ -24,7 +24,7 @@ from jaxdet.reference._surfaces import (
 
 UNIT = 0.001
 PLAIN = SurfaceConfig(step_m=0.03, step_per_m=0.0, crease_m=1.0, min_cells=1)
-"""Step of 30 mm at any depth, no creases, no minimum size."""
+"""Configuration with a step of 30 mm at any depth, without creases and without minimum size."""
 CREASED = SurfaceConfig(step_m=0.03, step_per_m=0.0, crease_m=0.01, crease_per_m=0.0, min_cells=6)
 
 
@@ -53,7 +53,7 @@ depths = arrays(np.int32, (9, 12), elements=st.sampled_from([0, 900, 925, 950, 9
 # by hand
 
 
-def test_steps_separate_surfaces() -> None:
+def test_steps_in_depth_separate_surfaces() -> None:
     assert found([[900, 930, 960, 991, 990]]) == [[0, 0, 0, 1, 1]]
     assert found([[900, 2000], [930, 1999], [961, 2031]]) == [[0, 1], [0, 1], [2, 3]]
 
@@ -68,7 +68,7 @@ def test_cells_not_kept_or_not_measured_separate_surfaces() -> None:
 
 
 def test_the_step_of_the_nearer_cell_is_used() -> None:
-    """10 mm and 10 mm per square metre: 20 mm at 1 m, 50 mm at 2 m."""
+    """The step is 10 mm plus 10 mm times the squared depth: 20 mm at 1 m, 50 mm at 2 m."""
     config = replace(PLAIN, step_m=0.01, step_per_m=0.01)
     assert found([[1000, 1020, 1041]], config=config) == [[0, 0, 1]]
     assert found([[2000, 2050, 2103]], config=config) == [[0, 0, 1]]
@@ -177,7 +177,7 @@ def test_only_bent_surfaces_are_removed() -> None:
     assert left.tolist() == [[-1, -1, 0, 0], [-1, -1, 0, 0], [-1, -1, -1, -1]]
 
 
-# somebody else's code
+# SciPy
 
 
 def test_the_size_of_a_surface_includes_parts_behind_a_hole() -> None:
@@ -206,7 +206,9 @@ def test_equal_depths_are_labelled_as_in_scipy(keep: np.ndarray) -> None:
 
 
 @given(depths, masks)
-def test_steps_equal_components_of_a_graph(z: np.ndarray, keep: np.ndarray) -> None:
+def test_surfaces_divided_by_steps_equal_components_of_a_graph(
+    z: np.ndarray, keep: np.ndarray
+) -> None:
     keep = keep & (z > 0)
     links = [
         (a * 12 + b, c * 12 + d)
@@ -223,7 +225,7 @@ def test_steps_equal_components_of_a_graph(z: np.ndarray, keep: np.ndarray) -> N
 
 
 @given(masks, st.integers(1, 8))
-def test_large_components_equal_scipy(mask: np.ndarray, least: int) -> None:
+def test_removal_of_small_components_equals_that_of_scipy(mask: np.ndarray, least: int) -> None:
     label = np.zeros(mask.shape, np.int32)
     ndimage.label(mask, np.ones((3, 3)), output=label)
     want = mask & (np.bincount(label.ravel())[label] >= least)
@@ -231,12 +233,12 @@ def test_large_components_equal_scipy(mask: np.ndarray, least: int) -> None:
 
 
 @given(masks)
-def test_dilation_equals_scipy(mask: np.ndarray) -> None:
+def test_dilation_equals_that_of_scipy(mask: np.ndarray) -> None:
     np.testing.assert_array_equal(dilated(mask), ndimage.binary_dilation(mask, np.ones((3, 3))))
 
 
 @given(st.integers(1, 40), st.data())
-def test_components_equal_scipy(count: int, data: st.DataObject) -> None:
+def test_components_equal_those_of_scipy(count: int, data: st.DataObject) -> None:
     node = st.integers(0, count - 1)
     links = data.draw(st.lists(st.tuples(node, node), max_size=60))
     first, second = np.array(links, int).reshape(-1, 2).T
@@ -344,7 +346,7 @@ def test_a_speck_is_not_merged_with_cells_far_behind_it():
 
 
 @pytest.mark.parametrize(("steep", "kept"), [(4, True), (3, False)])
-def test_two_thirds_of_the_lowest_cells_must_be_steep(steep, kept):
+def test_surfaces_are_kept_if_two_thirds_of_their_lowest_cells_are_steep(steep, kept):
     label = np.array([[0] * 5, [-1] * 5])
     height = np.array([[60] * 5, [0] * 5])
     forward = np.array([[1000] * steep + [1400] * (5 - steep), [1000] * 5])

@@ -130,7 +130,7 @@ def test_the_preset_paper_shows_its_corners() -> None:
     assert has_color(image[46:586, 10:730], canvas.color_of(0))
 
 
-def test_a_wide_image_keeps_its_shape() -> None:
+def test_a_wide_image_keeps_its_aspect_ratio() -> None:
     image = picture(scene(width=400, height=120))
     assert image.shape[1] < 1550
 
@@ -171,14 +171,14 @@ def test_a_scene_shows_free_floor_and_drops() -> None:
 
 
 def test_free_floor_is_drawn_only_between_adjacent_rays() -> None:
-    """It is interrupted at rays without free floor."""
+    """The drawn floor is interrupted at rays without free floor."""
     free, ahead = np.zeros((1, RAYS, 2), np.int32), RAYS // 2
     free[0, ahead : ahead + 41] = free[0, ahead - 40] = 500, 2000
     image = np.zeros((200, 200, 3), np.uint8)
     scene: Any = SimpleNamespace(free=free, free_end=np.zeros((1, RAYS), np.int32))
     topview._draw_free(image, View(center=100, bottom=190, scale=80), scene, 0, 0.001)
     first, last = np.flatnonzero(image.any(axis=(0, 2)))[[0, -1]].tolist()
-    right = 100 + 160 * np.sin(np.radians(10))  # 40 rays to the right of ahead
+    right = 100 + 160 * np.sin(np.radians(10))  # 40 rays to the right of straight ahead
     assert abs(first - 100) <= 1 and abs(last - right) < 2
 
 
@@ -211,7 +211,7 @@ def test_map_shows_free_cells() -> None:
     assert columns.max() < 0.6 * image.shape[1]
 
 
-def test_map_has_y_up_and_the_trajectory(tmp_path: Path) -> None:
+def test_the_map_has_y_up_and_shows_the_trajectory(tmp_path: Path) -> None:
     counts = np.zeros((40, 80), np.int32)
     counts[30:40, 60:80] = 7  # large X, large Y: upper right
     counts[0, 0] = 1

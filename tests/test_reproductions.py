@@ -56,7 +56,7 @@ def test_commands_show_progress(log: Path) -> None:
     assert "reading s" in printed
 
 
-def test_a_truncated_log_without_a_calibration_reports_both(tmp_path: Path) -> None:
+def test_the_error_for_a_truncated_log_without_a_calibration_names_both(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     with LogFile(path) as file:
         write_images(file, make_scene(3))
@@ -86,7 +86,9 @@ def test_number_of_failed_logs_is_reported(log: Path, tmp_path: Path, capsys: Ca
 
 
 @pytest.mark.parametrize("name, value", [("z", -5), ("x", 400_000)])
-def test_points_outside_of_any_camera_are_clustered_alike(name: str, value: int) -> None:
+def test_points_outside_of_any_camera_are_clustered_alike_by_both_backends(
+    name: str, value: int
+) -> None:
     """Both backends agree; such points once caused a crash."""
     config = jaxdet.preset("paper")
     depth = np.full((1, 60, 80), 1500, np.uint16)

@@ -106,7 +106,9 @@ def test_tables_survive_a_round_trip_with_nulls(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "summary.json").read_text(encoding="utf-8")) == {"b": "é"}
 
 
-def test_bytes_do_not_depend_on_the_batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bytes_of_tables_do_not_depend_on_the_batch_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(writer, "ROWS_PER_GROUP", 16)
     for batch in (1, 7, 16, 50):
         write(tmp_path / str(batch), batch)
@@ -145,7 +147,7 @@ assert "pandas" not in sys.modules
     assert found.returncode == 0
 
 
-def test_a_missing_folder_is_an_error_of_the_output(tmp_path: Path) -> None:
+def test_a_missing_folder_is_an_output_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="can't be written"):
         TableWriter(tmp_path / "missing")
 

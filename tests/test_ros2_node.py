@@ -245,7 +245,7 @@ def test_node_runs_until_it_is_interrupted(frames, monkeypatch, capsys):
     assert capsys.readouterr().err == "2 depth images, 2 with published obstacles\n"
 
 
-def test_node_ends_with_ros(monkeypatch, capsys):
+def test_the_node_ends_when_ros_shuts_down(monkeypatch, capsys):
     install(monkeypatch, lambda node: False)
     assert main([]) == 0
     assert capsys.readouterr().err == ""

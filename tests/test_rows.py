@@ -76,11 +76,11 @@ def digest(rows: dict[str, dict]) -> str:
     return sums.hexdigest()[:16]
 
 
-def test_columns_of_points_have_not_changed() -> None:
+def test_columns_of_obstacles_made_of_points_have_not_changed() -> None:
     assert digest(columns("paper")) == "6dc978f12fdb04e7"
 
 
-def test_points_have_no_contour_and_no_free_floor() -> None:
+def test_obstacles_made_of_points_have_no_contour_and_no_free_floor() -> None:
     rows = columns("paper")
     frame, obstacle = (to_table(rows[k], s) for k, s in SCHEMAS.items())
     assert frame["floor_source"].to_pylist() == ["flags"] * 3
@@ -102,7 +102,7 @@ def test_rectangles_behind_their_obstacle_are_counted() -> None:
         assert counts.short_rectangles == short
 
 
-def test_surfaces_have_contours_heights_and_free_floor() -> None:
+def test_obstacles_made_of_surfaces_have_contours_heights_and_free_floor() -> None:
     rows = columns("wheeled")
     frame, obstacle = (to_table(rows[k], s).to_pylist() for k, s in SCHEMAS.items())
     assert [row["status"] for row in frame] == ["ok", "no_depth", "ok"]
@@ -198,7 +198,7 @@ def test_rows_of_a_batch_equal_those_of_its_frames(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["wheeled", "paper"])
-def test_inputs_of_rows_may_be_computed_on_the_device_with_few_slots(name: str) -> None:
+def test_rows_do_not_change_if_their_inputs_are_reduced_to_the_used_slots(name: str) -> None:
     batch, config = boxes(), preset(name)
     found = detect(batch.frames, config, backend="reference")
     whole, most = row_inputs(found), int(found.num_obstacles.max())

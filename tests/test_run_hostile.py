@@ -61,7 +61,7 @@ def test_a_working_folder_that_is_a_link_is_left_alone(two, tmp_path):
 
 
 def test_results_replaced_while_they_are_opened_are_read_again(two, tmp_path, monkeypatch):
-    """Both results have as many rows, so row counts reveal nothing."""
+    """Old and new results have equally many rows, so the mixture is not revealed by row counts."""
     run(tmp_path, two)
     real, opened = reading.entries_of, []
 
@@ -137,7 +137,7 @@ def test_a_lock_is_held_by_one_of_many_processes(tmp_path):
 
 
 def test_a_lock_file_replaced_before_it_is_locked_is_not_used(tmp_path, monkeypatch):
-    """The previous owner removes its file between opening and locking by the next one."""
+    """The previous owner removes its file after the next one has opened but not locked it."""
     path, files, flock = tmp_path / ".jaxdet" / "lock", [], fcntl.flock
 
     def replaced(file: int, how: int) -> None:

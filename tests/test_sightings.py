@@ -1,4 +1,4 @@
-"""Persistence: fraction of the frames that measure a position in which it is occupied."""
+"""Persistence: of the frames that measure a position, the fraction in which it is occupied."""
 
 from pathlib import Path
 from typing import Any
@@ -128,7 +128,9 @@ def test_obstacles_through_which_floor_was_visible_are_not_on_maps(tmp_path: Pat
 
 
 def test_corners_of_rectangles_without_a_contour_are_not_on_maps(tmp_path: Path) -> None:
-    """A contour far from its rectangle is like a bent contour and the opposite corner."""
+    """The contour is far from the rectangle, as for a bent contour, whose rectangle has a corner
+    where nothing was measured.
+    """
     aside = np.array([-0.6, 1.4, -0.5, 1.4, -0.4, 1.4], np.float32)
     bent = {"contour": Lists.of_lengths(aside, np.array([6]), np.array([False]))}
     for name, frame, expected in (("bent", (*FOUND, bent), FREE), ("plain", FOUND, OCCUPIED)):

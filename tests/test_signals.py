@@ -24,7 +24,7 @@ print("ready", flush=True)
 """
 """Code of a separate process, which runs ``body`` under a guard."""
 NATIVE = "with stops_raised():\n    while True: ctypes.CDLL(None).sleep(30)"
-"""Calls of native code that release the GIL, outside of jaxdet."""
+"""Body that calls only native code, so that no code of jaxdet runs; the calls release the GIL."""
 HELD = """
 import os, time
 from jaxdet.signals import stops_held_back
@@ -36,7 +36,7 @@ except KeyboardInterrupt:
     time.sleep(0.3)
     os._exit(7)
 """
-"""A block that ends by itself after a deferred signal."""
+"""Code of a process with a block that ends by itself after a signal that it deferred."""
 
 
 def test_a_signal_is_raised_in_code_of_jaxdet() -> None:
@@ -86,8 +86,8 @@ def test_a_signal_interrupts_a_waiting_thread() -> None:
     assert time.monotonic() - start < 3
 
 
-def test_a_signal_leaves_no_lock_that_a_wait_must_reacquire() -> None:
-    """The end of ``Condition.wait`` is inside of a ``with`` that releases the lock."""
+def test_a_signal_during_a_wait_is_raised_after_the_lock_is_reacquired() -> None:
+    """Otherwise the ``with`` around ``Condition.wait`` would release a lock that is not held."""
     code = """
 def take_again():
     signal.raise_signal(signal.SIGINT)

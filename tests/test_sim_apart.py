@@ -49,7 +49,9 @@ def pierces(one: Mesh, other: Mesh) -> bool:
 
 
 def in_each_other(scene: Scene, times: tuple[float, ...] = (0.0,)) -> list[tuple[str, str]]:
-    """Return names of pairs of intersecting objects, one standing and not a wall."""
+    """Return the names of pairs of intersecting objects; pairs of walls or moving objects are left
+    out.
+    """
     found = []
     objects = scene.objects
     fixed = [isinstance(one, Wall) or getattr(one, "path", None) is not None for one in objects]
@@ -72,8 +74,8 @@ def test_objects_do_not_intersect(family):
         assert in_each_other(scene, times) == [], seed
 
 
-def test_objects_intersect_before_they_are_moved_apart():
-    """Otherwise the test above would be trivial."""
+def test_random_objects_intersect_unless_they_are_moved_apart():
+    """Otherwise ``test_objects_do_not_intersect`` could not fail."""
     drawn = [draw_scene(family, seed) for family in ("room", "tables") for seed in range(5)]
     assert sum(bool(in_each_other(scene)) for scene in drawn) >= 3
 
@@ -132,7 +134,7 @@ def test_objects_fit_under_a_table(kind, x, expected):
     assert intersect(table, solid_of(build_model(kind, 2).moved(shift(x)))) == expected
 
 
-def test_boxes_may_touch_hang_and_contain_others():
+def test_boxes_that_touch_do_not_intersect_and_contained_ones_do():
     base = solid_of(box((1.0, 1.0, 0.5), WOOD))
     inside = solid_of(cylinder(0.1, 0.3, WOOD).moved(shift(z=0.1)))
     on_top = solid_of(box((0.5, 0.5, 0.5), WOOD, (0.0, 0.0, 0.5)))
@@ -144,7 +146,7 @@ def test_boxes_may_touch_hang_and_contain_others():
     assert intersect(base, adjacent, CLEAR_M) and not intersect(base, on_top, CLEAR_M)
 
 
-def test_distance_of_polygons_by_hand():
+def test_distances_of_polygons_match_a_hand_calculation():
     turned = SQUARE @ np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]])
     assert gap(SQUARE, SQUARE + (2.5, 0.3)) == pytest.approx(0.5)
     assert gap(SQUARE, SQUARE + (1.9, 0.3)) == pytest.approx(-0.1)

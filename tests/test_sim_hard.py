@@ -71,7 +71,7 @@ def corners_of(scene):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_corridor_has_its_width(seed):
+def test_corridors_are_between_1_2_and_2_4_m_wide(seed):
     scene = load_scene("corridor", seed)
     outlines = corners_of(scene)
     walls = dict(zip([w.name for w in scene.walls], outlines[-len(scene.walls) :], strict=True))
@@ -98,7 +98,7 @@ def test_objects_stand_in_front_of_a_wall(seed):
         assert 0.04 < face - (outline @ ahead).max() < 0.6
 
 
-def test_low_objects_drops_and_ramps_have_their_sizes():
+def test_sizes_of_low_objects_drops_and_ramps_are_in_their_ranges():
     for seed in range(8):
         scene = load_scene("low_clutter", seed)
         tall = placed(scene, 0.0)[0][: -len(scene.walls)]
@@ -145,7 +145,7 @@ def test_drivable_floor_is_outside_footprints():
     np.testing.assert_allclose(forward, (T[0, 2] + T[0, 1] * y) * z, rtol=1e-5)
 
 
-def test_the_floor_steps_down():
+def test_floor_beyond_a_drop_is_lower_and_not_drivable():
     ground = Ground(drop_m=0.1, drop_start_m=2.0, drop_steps=2, drop_tread_m=0.3, slope_yaw=0.2)
     high = {"camera_height_m": 1.2, "camera_pitch_rad": 0.4, "camera_roll_rad": 0.0}
     frame = frame_of(scene_with(Box((1.5, 0.3), (0.2, 0.2, 0.9)), ground=ground), **high)

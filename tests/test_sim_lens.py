@@ -54,7 +54,7 @@ def test_image_margins_have_holes_and_depth_distortion():
     assert not np.any(bend((480, 640), CONSTANT, DepthSensor(), rng, 3))
 
 
-def test_patches_have_their_fraction_and_size():
+def test_patches_have_the_given_fraction_and_size():
     for size in (6, 20):
         values = patches((480, 640), size, np.random.default_rng(1))
         for share in (0.1, 0.5):
@@ -64,7 +64,7 @@ def test_patches_have_their_fraction_and_size():
         assert count > (150 if size == 6 else 15) and (size == 6 or count < 100)
 
 
-def test_errors_scale_with_their_parameter():
+def test_depth_errors_scale_with_the_parameter_of_the_sensor():
     assert DepthSensor().with_errors(0.0) == DepthSensor()
     assert DepthSensor().with_errors(1.0) == D435_LIKE
     for scale in (1.0, 2.0, 4.0):

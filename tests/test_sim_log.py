@@ -116,7 +116,7 @@ def test_tf_has_mount_and_extrinsics(log):
     np.testing.assert_array_equal(extrinsics.translation, T_color_depth[:3, 3])
 
 
-def test_odometry_brackets_the_frames(log):
+def test_odometry_begins_before_the_frames_and_ends_after_them(log):
     path, truth = log
     topics = read_all(path)
     stamps = np.array(
@@ -170,7 +170,7 @@ def test_the_log_is_opened_with_aligned_depth(log):
     with open_log(str(log[0])) as opened:
         frames = [batch.frames for batch in opened.batches(4)]
     assert sum(int(f.valid.sum()) for f in frames) == 4
-    # Aligned depth goes first, which has the colour camera's pixels.
+    # Of both forms of depth, the one aligned to the colour camera is used.
     np.testing.assert_allclose(frames[0].T_world_camera[:4], log[1].T_world_camera, atol=1e-3)
     np.testing.assert_array_equal(frames[0].stamp_ns[:4], log[1].depth_stamp_ns)
     np.testing.assert_array_equal(frames[0].color_stamp_ns[:4], log[1].stamp_ns)
@@ -221,7 +221,7 @@ def test_static_transforms_form_a_tree():
     assert isinstance(static_transforms(CONFIG, calibration_of(CONFIG))[0], Transform)
 
 
-def test_quaternions_equal_scipy():
+def test_quaternions_equal_those_of_scipy():
     for R in Rotation.random(50, random_state=0).as_matrix():
         got = Rotation.from_quat(list(quaternion(R).values())).as_matrix()
         np.testing.assert_allclose(got, R, atol=1e-12)

@@ -27,7 +27,7 @@ HEIGHTS = {
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_scenes_render(name):
+def test_every_scene_can_be_rendered(name):
     scene = load_scene(name)
     view = render(scene, CAMERA, mount(0.3, 0.17, 0.02))
     assert np.isfinite(view.color).all() and view.obstacle_id.max() <= len(scene.objects)
@@ -54,7 +54,7 @@ def test_drive_passes_obstacles_and_a_person_crosses_in_front():
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_families_show_their_obstacles(family):
+def test_scenes_of_each_family_show_obstacles(family):
     seen = 0
     for seed in range(3):
         scene = load_scene(family, seed, 1.5)

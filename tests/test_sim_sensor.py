@@ -67,7 +67,7 @@ def holes(sight, z):
     return (depth[:, 20:35] == 0).mean()
 
 
-def test_holes_on_dark_shiny_and_bare_surfaces():
+def test_dark_shiny_and_bare_surfaces_have_holes():
     bright = surface(0.5, 0.5)
     assert holes(bright, 1.5) < 0.03
     assert holes(surface(0.5, 0.004), 3.0) > holes(surface(0.5, 0.05), 3.0) + 0.1
@@ -90,7 +90,7 @@ def grey_plate(level, light, **changes):
     )
 
 
-def test_exposure_and_noise_by_their_equations():
+def test_exposure_and_noise_follow_their_equations():
     linear = illuminate(np.full((1, 1, 3), 128.0), np.zeros((1, 1, 3)), LIGHTS["normal"], 0.8)
     assert linear[0, 0, 0] == pytest.approx(0.9 * 0.21586 * 250, rel=1e-3)
     plain = {"vignetting": 0.0, "blur_px": 0.01, "smooth_px": 0.0, "contrast": 1.0}
@@ -110,7 +110,7 @@ def test_exposure_and_noise_by_their_equations():
     assert noise == pytest.approx(relative * slope, rel=0.15)
 
 
-def test_rotation_of_the_camera_smears_sideways():
+def test_rotation_of_the_camera_smears_the_image_sideways():
     color = np.full((480, 640, 3), 60.0, np.float32)
     color[:, 320:] = 200
     surface = color, np.zeros_like(color)

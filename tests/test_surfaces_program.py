@@ -42,7 +42,7 @@ def assert_twin(
     config: Config = SURFACES,
     unit: float = UNIT,
 ) -> Surfaces:
-    """Assert that the results of the kernel equal the reference; return them."""
+    """Assert that the results of the kernel equal the reference; return the results."""
     floors, step = floor_frames(plane, unit), step_height(camera(unit), config)
     got = surfaces(x, y, z, floors, tables(camera(unit), config))
     grid = Cells(x, y, z)

@@ -46,7 +46,7 @@ def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @BATCHES
-def test_alignment_does_not_depend_on_the_threads(threads, batch):
+def test_alignment_does_not_depend_on_the_number_of_threads(threads, batch):
     for depth in noise_depth(batch, D435.depth), smooth_depth(batch, D435.depth):
         assert_equal(align_all(depth, D435), reference.paper.align(depth, D435))
 
@@ -65,7 +65,7 @@ def test_results_do_not_depend_on_the_contents_of_scratch_memory(threads, batch)
 
 
 @BATCHES
-def test_the_pipeline_does_not_depend_on_the_threads(threads, batch):
+def test_the_pipeline_does_not_depend_on_the_number_of_threads(threads, batch):
     calibration = small(96, 61)
     depth = noise_depth(batch, calibration.depth)
     given = frames(calibration, blocks(batch, 61, 96), depth, plane=level(batch, 0.3))
@@ -123,7 +123,7 @@ def test_cores_of_a_control_group_are_rounded_up(tmp_path, monkeypatch, text, mo
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="threads have no affinity")
-def test_an_affinity_set_later_by_the_caller_is_kept(monkeypatch):
+def test_a_cpu_affinity_set_later_by_the_caller_is_kept(monkeypatch):
     allowed = os.sched_getaffinity(0)
     monkeypatch.setenv("PJRT_NPROC", str(len(allowed)))
     pool._pool.cache_clear()

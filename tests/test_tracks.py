@@ -40,7 +40,7 @@ def corners_of(x: float, y: float, size: tuple[float, float] = PERSON, yaw: floa
 
 
 def in_picture(boxes: np.ndarray) -> dict[str, np.ndarray]:
-    """Return ranges of image columns (of 640), and of x, of outlines ``(N, 8)``."""
+    """Return the first and last image column (of 640), and the range of x, of each outline."""
     right, forward = boxes[:, ::2], boxes[:, 1::2]
     u = np.clip(320 + 400 * right / np.maximum(forward, 0.1), 0, 639)
     low, high = right.min(axis=1, initial=99), right.max(axis=1, initial=-99)
@@ -254,7 +254,7 @@ def test_a_track_continues_with_the_fragment_that_lasts():
     assert len(tracks) == 2
 
 
-def test_an_object_that_becomes_visible_is_not_moving():
+def test_a_static_object_that_gradually_becomes_visible_is_not_moving():
     """The visible part of the object grows at one end."""
     frames = [[corners_of(2, 0.25 + f / 40, (0.5, 0.5 + f / 20))] for f in range(30)]
     (shelf,), _ = follow(frames)
@@ -270,9 +270,9 @@ def test_an_implausibly_fast_object_is_not_moving():
     assert track.moving and 4.0 < track.mean_speed_mps < 5.0
 
 
-def test_a_track_longer_than_its_pieces_equals_one_piece():
-    """One object stands for five pieces, then walks; another walks all the time. The trajectories
-    equal those computed in one window."""
+def test_a_track_fitted_in_pieces_equals_one_fitted_as_a_whole():
+    """One object stands for five pieces, then walks; another walks all the time. Their trajectories
+    are those of tracks that are not divided into pieces."""
     count = 5 * PIECE_FRAMES + 100
     swing = np.sin(np.arange(count) / 40)
     frames = []
@@ -307,7 +307,7 @@ def test_pieces_are_fitted_like_a_complete_track():
         np.testing.assert_allclose(one.speed, other.speed, atol=1e-6)
 
 
-def test_a_gap_may_be_longer_than_a_piece():
+def test_a_gap_in_a_track_may_be_longer_than_a_piece():
     """The track continues if the settings allow such gaps."""
     box, other = corners_of(2, 0), corners_of(4, 0)
     count = 4 * PIECE_FRAMES
@@ -386,7 +386,7 @@ def test_memory_of_tracking_with_a_standing_camera_is_bounded():
 
 
 @pytest.mark.parametrize("rate_hz", [0.45, 1.0, 1.42])
-def test_frames_seconds_apart_have_speeds_between_neighbours(rate_hz):
+def test_speeds_in_frames_seconds_apart_are_those_between_adjacent_frames(rate_hz):
     """The interval exceeds ``smooth_s``, so speeds are those to the adjacent frames."""
     frames = [[corners_of(4, f / rate_hz - 3), corners_of(6, 0)] for f in range(12)]
     (walks, stands), _ = follow(frames, rate_hz=rate_hz)
@@ -395,7 +395,7 @@ def test_frames_seconds_apart_have_speeds_between_neighbours(rate_hz):
     assert walks.moving and not stands.moving
 
 
-def test_a_hidden_person_continues_walking_at_a_low_frame_rate():
+def test_a_walking_person_who_was_hidden_keeps_the_track_at_a_low_frame_rate():
     """The person is hidden for four frames, 2.2 s, and reappears far away."""
     frames = [[corners_of(4, f / 1.8 - 4)] * (not 5 < f < 9) for f in range(15)]
     [walker], _ = follow(frames, rate_hz=1.8)
@@ -530,7 +530,7 @@ def test_tables_of_tracks_agree_with_the_obstacles(folder: Path, capsys: pytest.
 
 
 def test_repeated_runs_write_identical_bytes(folder: Path, tmp_path: Path):
-    """Neither repetition nor the batch of the run matters."""
+    """Neither repetition nor the batch size of the run matters."""
     track_results(folder)
     other = results(tmp_path, "log", SIM, batch_size=5)
     track_results(other)

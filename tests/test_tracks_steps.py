@@ -32,7 +32,7 @@ def in_frames(frames: list[list[list[float]]], **other: object) -> Observations:
     return sightings(frame, np.asarray(stamps).astype(np.int64), boxes, **other)
 
 
-def test_observations_by_hand():
+def test_observations_match_a_hand_calculation():
     """The result has columns in image widths, sides at the border, and weights."""
     boxes = [corners_of(0, 2)] * 4
     turned = [corners_of(5, 5, yaw=np.pi / 3)] * 3 + [[np.nan] * 8]
@@ -95,7 +95,7 @@ def test_parts_with_a_hidden_foot_are_not_above_the_floor(columns, distance, one
     assert (thing[0] == thing[1]) == one and len(things.frame) == (2 if one else 3)
 
 
-def test_observation_of_several_obstacles_by_hand():
+def test_an_observation_of_several_obstacles_matches_a_hand_calculation():
     """The rectangle of the observation has the orientation of the obstacle with most cells."""
     boxes = [corners_of(0, 3, (0.4, 0.2)), SIDE, corners_of(0.1, 3.1, (0.2, 0.2), np.pi / 6)]
     seen = in_frames(
@@ -141,7 +141,7 @@ def test_observation_of_several_obstacles_by_hand():
         ((100, 400), 2, (False, False)),
     ],
 )
-def test_sides_hidden_by_a_nearer_obstacle(columns, distance, hidden):
+def test_sides_next_to_a_nearer_obstacle_are_hidden(columns, distance, hidden):
     """The object is in columns 192 to 320, 2 m away; 1.5 % of the width are 9.6 columns."""
     boxes = [corners_of(0, 0), corners_of(9, 0)]
     for turn in (1, -1):
@@ -285,7 +285,7 @@ def walk(x: float, mps: float, frames: int) -> list[list[float]]:
     return [corners_of(x + mps * k / 10, 2) for k in range(frames)]
 
 
-def test_tracklets_by_hand():
+def test_tracklets_match_a_hand_calculation():
     """Velocities are fitted over 0.5 s, with a weak prior of 0."""
     away = walk(9, 0, 8)
     walker = [*walk(0, 0, 10), *walk(0, 1.0, 10)]
@@ -476,8 +476,8 @@ def test_local_lines_are_fitted_to_frames_at_any_times():
             assert place[k, 0] == pytest.approx(line)
 
 
-def test_numbers_of_tracks_by_hand():
-    """Tracks are numbered by their first observation as soon as it is certain."""
+def test_numbers_of_tracks_match_a_hand_calculation():
+    """Tracks are numbered in the order of their first observations, once they are certain."""
     numbers = TrackIds(3)
 
     def add(*chains: int, obstacles: tuple[int, ...] = ()) -> list[list[int]]:
@@ -502,7 +502,7 @@ def test_numbers_of_tracks_by_hand():
     assert numbers.ids == {4: 3}
 
 
-def test_a_piece_of_a_track_by_hand():
+def test_a_piece_of_a_track_matches_a_hand_calculation():
     boxes = [corners_of(0, 2, (w, 0.3)) for w in (0.2, 0.6, 0.5)]
     seen = in_frames([[box] for box in boxes], top_m=[1.0, np.nan, 1.5])
     numbers, stamps = np.arange(70, 74), np.arange(5, 9) * 10**8
@@ -517,7 +517,7 @@ def test_a_piece_of_a_track_by_hand():
     assert np.isnan(blind.top_m)
 
 
-def test_a_track_of_several_pieces_by_hand():
+def test_a_track_of_several_pieces_matches_a_hand_calculation():
     """A standing piece has a point per frame; sizes are weighted by observations."""
 
     def piece(first: int, frames: int, seen: int, top_m: float, *speed: float) -> Piece:
@@ -568,7 +568,7 @@ def test_greedy_matching_takes_the_cheapest_pairs_first(seed):
     assert (columns[best] == linear_sum_assignment(apart)[1]).all()
 
 
-def test_pairs_chains_and_components_by_hand():
+def test_pairs_chains_and_components_match_a_hand_calculation():
     a, b = pairs_in_frames(np.array([0, 0, 0, 2, 3, 3]))
     assert list(zip(a.tolist(), b.tolist(), strict=True)) == [(0, 1), (0, 2), (1, 2), (4, 5)]
     assert chain_starts(np.array([-1, 0, -1, 1, 2, 3])).tolist() == [0, 0, 2, 0, 2, 0]
@@ -577,7 +577,7 @@ def test_pairs_chains_and_components_by_hand():
     assert components(5, np.array([3, 2, 1]), np.array([4, 3, 2])).tolist() == [0, 1, 1, 1, 1]
 
 
-def test_rectangles_of_outlines_by_hand():
+def test_rectangles_of_outlines_match_a_hand_calculation():
     a = Outlines.of_corners(np.array([corners_of(0, 0, (2, 1)), corners_of(0, 0, (2, 1))]))
     b = Outlines.of_corners(np.array([corners_of(1, 0, (2, 1)), corners_of(3, 0, (2, 1))]))
     np.testing.assert_allclose(overlap(a, b), [0.5, -0.5])

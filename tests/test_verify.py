@@ -63,7 +63,7 @@ def sealed(folder: Path) -> None:
 
 
 def rewrite(folder: Path, tables: Mapping[str, pa.Table], *, inputs: bool = False) -> None:
-    """Write tables, the figures of their logs, the manifest and, with ``inputs``, the digests."""
+    """Write tables, figures, manifests and, with ``inputs``, the digests of the logs."""
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     for log in summary["logs"]:
         for name, table in tables.items():
@@ -92,7 +92,7 @@ def read(folder: Path) -> dict[str, pa.Table]:
 
 
 def frames_of(table: pa.Table, log: str, start: int, stop: int) -> list[int]:
-    """Return the rows of a range of frames."""
+    """Return the indices of the rows of a range of frames."""
     keys = zip(table["log"].to_pylist(), table["frame"].to_pylist(), strict=True)
     return [row for row, (name, frame) in enumerate(keys) if name == log and start <= frame < stop]
 
@@ -139,7 +139,7 @@ def test_results_of_a_scanned_log_have_no_findings(tmp_path: Path) -> None:
     assert report.findings == [] and report.frames == 2 * FRAMES - 1
 
 
-def test_a_flipped_byte_is_found_in_any_file(results: Path) -> None:
+def test_a_flipped_byte_in_any_file_is_reported(results: Path) -> None:
     names = [str(p.relative_to(results)) for p in results.rglob("*") if p.is_file()]
     assert {*TABLES, "tracks.parquet", "map.npz", "pictures/000000.png"} <= {*names}
     for name in names:
@@ -183,7 +183,7 @@ def test_missing_and_additional_files_are_named(results: Path) -> None:
     assert finding.startswith("manifest.json: has no complete results")
 
 
-def test_swapped_units_are_found(results: Path) -> None:
+def test_swapped_units_are_reported(results: Path) -> None:
     tables = read(results)
     for name, table in tables.items():
         first, second = (frames_of(table, "a", at, at + 4) for at in (0, 4))
@@ -197,7 +197,7 @@ def test_swapped_units_are_found(results: Path) -> None:
     ]  # fmt: skip
 
 
-def test_swapped_contents_are_found(results: Path) -> None:
+def test_swapped_contents_are_reported(results: Path) -> None:
     """Keys and checksums fit, so only the reference and the tracks reveal the change."""
     tables = read(results)
     frames = tables["frames.parquet"]
@@ -235,7 +235,7 @@ def raised(table: pa.Table, name: str, row: int, by: float) -> pa.Table:
     return table.set_column(column, field, [pa.array(values, field.type)])
 
 
-def test_a_changed_value_is_found_by_the_reference(results: Path) -> None:
+def test_a_changed_value_is_detected_by_the_reference(results: Path) -> None:
     tables = read(results)
     obstacles = tables["obstacles.parquet"]
     (row, *_) = frames_of(obstacles, "a", 11, 12)
@@ -254,7 +254,7 @@ def test_a_changed_value_is_found_by_the_reference(results: Path) -> None:
         ("stamp_ns", "a: stamp_ns of obstacles differs from their frames"),
     ],
 )
-def test_obstacles_that_do_not_fit_their_frames_are_found(
+def test_obstacles_that_do_not_fit_their_frames_are_reported(
     results: Path, column: str, problem: str
 ) -> None:
     tables = read(results)
@@ -272,12 +272,12 @@ def test_obstacles_that_do_not_fit_their_frames_are_found(
         (11, "a: the log has 12 frames, but the results have 11"),
     ],
 )
-def test_a_missing_frame_is_found(results: Path, frame: int, problem: str) -> None:
+def test_a_missing_frame_is_reported(results: Path, frame: int, problem: str) -> None:
     rewrite(results, without(read(results), frame), inputs=True)
     assert found(verify(results), but="tracks") == [problem]
 
 
-def test_figures_that_include_a_missing_frame_are_found(results: Path) -> None:
+def test_figures_that_include_a_missing_frame_are_reported(results: Path) -> None:
     for name, table in without(read(results), 11).items():
         about = pq.ParquetFile(results / name).metadata.metadata
         pq.write_table(table.replace_schema_metadata(about), results / name)
@@ -286,7 +286,7 @@ def test_figures_that_include_a_missing_frame_are_found(results: Path) -> None:
     assert problem.endswith("a: 11 rows, but summary.json says 12")
 
 
-def test_figures_that_differ_from_the_rows_are_found(results: Path) -> None:
+def test_figures_that_differ_from_the_rows_are_reported(results: Path) -> None:
     path = results / "summary.json"
     summary = json.loads(path.read_text(encoding="utf-8"))
     summary["logs"][0]["status"] = {"ok": 11, "no_color": 1}
@@ -299,7 +299,7 @@ def test_figures_that_differ_from_the_rows_are_found(results: Path) -> None:
     assert report.notes[0] == "lost in the run: a, frames 0 to 3: timeout (twice)"
 
 
-def test_another_log_is_found(whole: Path, tmp_path: Path) -> None:
+def test_another_log_in_place_of_the_input_is_reported(whole: Path, tmp_path: Path) -> None:
     """The other log has equally many frames with equal timestamps."""
     other = SimConfig(frames=FRAMES, width=96, height=72, seed=5)
     write_log(tmp_path / "a.mcap", other)
@@ -328,7 +328,7 @@ def test_an_image_folder_is_found_at_its_path(
     assert report.findings == report.notes == [] and report.frames_of_logs == report.frames == 3
 
 
-def test_moved_logs_are_given_by_flag_or_noted(whole: Path, tmp_path: Path) -> None:
+def test_moved_logs_are_given_by_a_flag_or_reported_in_a_note(whole: Path, tmp_path: Path) -> None:
     shutil.copytree(whole.parent, tmp_path / "all")
     out = tmp_path / "all" / "out"
     for summary in out.glob("*/summary.json"):
@@ -359,7 +359,7 @@ def test_renamed_logs_are_recognized_by_their_content(whole: Path, tmp_path: Pat
         verify(folder / "out", [str(folder / "*.mcap")], sample=1)
 
 
-def test_an_incomplete_run_is_a_finding(whole: Path, tmp_path: Path) -> None:
+def test_an_incomplete_run_is_reported(whole: Path, tmp_path: Path) -> None:
     """The finding names the folder of the log."""
     copy = Path(shutil.copytree(whole, tmp_path / "copy"))
     (copy / "a" / "map.npz").write_bytes(b"")
@@ -379,7 +379,7 @@ def test_an_incomplete_run_is_a_finding(whole: Path, tmp_path: Path) -> None:
     ]
 
 
-def test_tracks_are_computed_again(results: Path, capsys: Any) -> None:
+def test_verify_computes_the_tracks_again(results: Path, capsys: Any) -> None:
     """A changed byte is found even if its checksum was updated."""
     report = verify(results, sample=0)
     rows = pq.read_metadata(results / "track_links.parquet").num_rows
@@ -399,7 +399,7 @@ def test_tracks_are_computed_again(results: Path, capsys: Any) -> None:
     assert f"obstacles read, {report.linked} linked again" in capsys.readouterr().out
 
 
-def test_tracks_of_other_obstacles_are_found(results: Path, tmp_path: Path) -> None:
+def test_tracks_of_other_obstacles_are_reported(results: Path, tmp_path: Path) -> None:
     """Tracks of recorded settings are accepted even if these are not the defaults."""
     track_results(results, TrackConfig(min_frames=2))
     assert not verify(results, sample=0).findings
@@ -415,7 +415,7 @@ def test_tracks_of_other_obstacles_are_found(results: Path, tmp_path: Path) -> N
     ]
 
 
-def test_a_damaged_map_of_tracks_is_one_finding(results: Path) -> None:
+def test_a_damaged_map_of_tracks_is_reported_once(results: Path) -> None:
     content = (results / "map.npz").read_bytes()
     for place in range(0, len(content), len(content) // 40):
         spoiled = bytearray(content)

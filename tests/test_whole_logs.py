@@ -12,8 +12,8 @@ import jax
 import pytest
 
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import resources, scheduler
-from jaxdet.engine.log_per_worker import OPENING_BYTES, choose_logs
+from jaxdet.engine import placement, scheduler
+from jaxdet.engine.placement import OPENING_BYTES, smallest_logs
 from jaxdet.errors import ConfigError, Interrupted
 from jaxdet.io import Batch, LogFiles
 from jaxdet.results.summary import Summary
@@ -63,15 +63,15 @@ def shared(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(log.name)
         return real(one, log, memory)
 
-    real = resources.Resources.choose
-    monkeypatch.setattr(resources.Resources, "choose", choose)
+    real = placement.Machine.share_of_all
+    monkeypatch.setattr(placement.Machine, "share_of_all", choose)
     return names
 
 
 @pytest.fixture
 def complete(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let workers process all logs completely."""
-    monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
+    monkeypatch.setattr(placement, "smallest_logs", lambda sizes, _: set(sizes))
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_failures_in_workers_are_reported_by_the_main_process(folder, shared, tm
 
 def test_a_stopped_run_is_resumed_with_the_logs_of_workers(folder, alone, shared, tmp_path):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
+        patch.setattr(placement, "smallest_logs", lambda sizes, _: set(sizes))
         done = []
 
         def take(one: Any, log: LogFiles, found: Any) -> None:
@@ -160,13 +160,13 @@ def test_a_stopped_run_is_resumed_with_the_logs_of_workers(folder, alone, shared
     ],
 )
 def test_logs_are_processed_completely_as_long_as_all_workers_are_busy(sizes, workers, count):
-    chosen = choose_logs({str(i): size for i, size in enumerate(sizes)}, workers)
+    chosen = smallest_logs({str(i): size for i, size in enumerate(sizes)}, workers)
     assert len(chosen) == count
 
 
 def test_large_logs_are_split_among_workers():
     sizes = {"large": 100 * OPENING_BYTES, **{str(i): OPENING_BYTES for i in range(50)}}
-    chosen = choose_logs(sizes, 16)
+    chosen = smallest_logs(sizes, 16)
     assert "large" not in chosen and 48 <= len(chosen) <= 50
 
 
@@ -197,7 +197,7 @@ def test_a_gpu_finds_that_a_camera_is_upside_down(tmp_path, shared, monkeypatch)
     shared.clear()
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
-        monkeypatch.setattr(scheduler, "choose_logs", lambda sizes, _: set(sizes))
+        monkeypatch.setattr(placement, "smallest_logs", lambda sizes, _: set(sizes))
         assert not run(folder, tmp_path / "b", workers=2, config=config).failed
     assert len(shared) == 1  # the first log of the camera
     same_results(tmp_path / "a", tmp_path / "b")
@@ -211,8 +211,8 @@ def test_a_gpu_is_used_for_the_logs_after_one_that_was_split_among_fewer_workers
         found = real(settings, log, *given)
         return found._replace(workers=1) if log.name == "log_e" else found
 
-    real = resources.memory_plan
-    monkeypatch.setattr(resources, "memory_plan", plan)
+    real = placement.memory_plan
+    monkeypatch.setattr(placement, "memory_plan", plan)
     with jax.default_device(jax.devices("cpu")[0]):
         on_this_machine(monkeypatch)
         summary = run(folder, tmp_path / "a", workers=2)

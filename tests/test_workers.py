@@ -25,9 +25,9 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device_queue, device_server, executors, pool, process_log, worker
+from jaxdet.engine import executors, gpu, gpu_threads, pool, process_log, worker
 from jaxdet.engine.plan import LogPlan
-from jaxdet.engine.shared_slots import SLOTS, attached
+from jaxdet.engine.slots import SLOTS, attached
 from jaxdet.engine.tasks import TaskQueue
 from jaxdet.engine.worker import WorkerProcess
 from jaxdet.errors import (
@@ -119,7 +119,7 @@ def plain_run(sim_logs: list[Path], tmp_path_factory: pytest.TempPathFactory) ->
     return folder / "a"
 
 
-def test_bytes_depend_on_neither_workers_nor_batch(sim_logs, tmp_path):
+def test_results_depend_on_neither_workers_nor_batch_size(sim_logs, tmp_path):
     ways: list[Any] = [(1, 512), (2, 1), (2, 5)]
     summaries = []
     observers = {"score": TruthScore(sim_logs[0], Config())}
@@ -335,13 +335,14 @@ def test_units_contain_each_frame_once(frames, workers):
 
 
 @pytest.mark.parametrize(("preset", "workers", "size"), [("wheeled", 3, 4), ("paper", 1, 5)])
-def test_a_device_server_returns_equal_bytes(
+def test_a_gpu_that_computes_for_workers_returns_equal_bytes(
     sim_logs, tmp_path, monkeypatch, preset, workers, size
 ):
-    config = PRESETS[preset]
+    config, backend = PRESETS[preset], "reference" if preset == "paper" else "jax"
     observers = {"odd": Odd(), "score": TruthScore(sim_logs[0], config)}
     with jax.default_device(jax.devices("cpu")[0]):
-        run(sim_logs, tmp_path / "a", workers=1, config=config, observers=observers)
+        plain = {"config": config, "observers": observers, "backend": backend}
+        run(sim_logs, tmp_path / "a", workers=1, **plain)
         copies = on_this_machine(monkeypatch)
         options = {"workers": workers, "batch_size": size, "config": config}
         summary = run(sim_logs, tmp_path / "b", observers=observers, **options)
@@ -370,17 +371,17 @@ def test_a_device_server_returns_equal_bytes(
 def test_memory_of_batches_is_bounded(width, height, batch_size, want):
     camera = Intrinsics(width, height, width, width, width / 2, height / 2)
     log: Any = SimpleNamespace(depth_shape=(height, width), calibration=Calibration(camera))
-    served = device_server.server_config(log, Config(), batch_size, device_server.PIECE_FRAMES, 2)
-    there = device_server.DeviceServer(served, [], ["gpu"])
-    slots = there.memory.slots
-    assert (slots.frames, served.pieces * slots.frames) == want
-    depth_bytes, color_bytes, _ = slots.sizes
-    most = max(device_server.PIECE_BYTES + 8192, 2 * width * height)
+    served = gpu_threads.served_for(log, Config(), batch_size, gpu_threads.PIECE_FRAMES, 2)
+    there = gpu_threads.GpuThreads(served, [], ["gpu"])
+    served = there.memory.served
+    assert (served.frames, served.batch) == want
+    depth_bytes, color_bytes, _ = served.sizes
+    most = max(gpu_threads.PIECE_BYTES + 8192, 2 * width * height)
     assert depth_bytes + color_bytes <= most
-    first, last = slots.arrays(attached(slots.path))[:: 2 * SLOTS - 1]
-    assert first.depth.shape == (want[0], height, width) and first.color is None
-    assert last.depth.ctypes.data % 4096 == 0
-    last.depth[...] = 7
+    first, last = served.slots(attached(served.path))[:: 2 * SLOTS - 1]
+    assert [one.shape for one in first.images] == [(want[0], height, width)]
+    assert last.images[0].ctypes.data % 4096 == 0
+    last.images[0][...] = 7
     there.close()
 
 
@@ -393,27 +394,27 @@ def test_memory_of_batches_includes_colour_for_the_preset_paper():
         (Calibration(camera, wide, still), (50, 80, 3)),
     ):
         log: Any = SimpleNamespace(depth_shape=(48, 64), calibration=calibration)
-        served = device_server.server_config(
-            log, PRESETS["paper"], 3, device_server.PIECE_FRAMES, 1
-        )
-        there = device_server.DeviceServer(served, [], ["gpu"])
-        slots = there.memory.slots
-        for number, one in enumerate(slots.arrays(attached(slots.path))):
-            assert one.color is not None and one.color.shape == (3, *shape)
-            one.depth[...], one.color[...], one.results[...] = number, number + 100, -number
-        for number, one in enumerate(slots.arrays(attached(slots.path))):
-            assert (one.depth == number).all() and (one.color == number + 100).all()
+        served = gpu_threads.served_for(log, PRESETS["paper"], 3, gpu_threads.PIECE_FRAMES, 1)
+        there = gpu_threads.GpuThreads(served, [], ["gpu"])
+        served = there.memory.served
+        for number, one in enumerate(served.slots(attached(served.path))):
+            depth, color = one.images
+            assert color.shape == (3, *shape)
+            depth[...], color[...], one.results[...] = number, number + 100, -number
+        for number, one in enumerate(served.slots(attached(served.path))):
+            depth, color = one.images
+            assert (depth == number).all() and (color == number + 100).all()
             assert (one.results == -number).all()
         there.close()
 
 
-def test_a_failure_of_the_device_server_is_the_error_of_each_log(sim_logs, tmp_path, monkeypatch):
+def test_a_failure_of_the_gpu_is_the_error_of_each_log(sim_logs, tmp_path, monkeypatch):
     on_this_machine(monkeypatch)
 
     def fails(*_: Any) -> None:
         raise ArithmeticError("out of memory")
 
-    monkeypatch.setattr(device_queue.DeviceQueue, "start", fails)
+    monkeypatch.setattr(gpu.Gpu, "start", fails)
     summary = run(sim_logs, tmp_path / "b", workers=2)
     assert len(summary.failed) == 2
     for log in summary.failed:
@@ -431,16 +432,16 @@ def test_a_device_without_enough_memory_uses_smaller_batches(
     on_this_machine(monkeypatch)
     tried = []
 
-    def limited(queue: Any, pieces: Any, *given: Any) -> Any:
-        if pieces or step == "start":
-            tried.append(queue.rows)
+    def limited(one: gpu.Gpu, batch: gpu.Batch) -> Any:
+        if batch.pieces or step == "start":
+            tried.append(one.rows)
             if len(tried) in failing:
                 raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate")
-        return real(queue, pieces, *given)
+        return real(one, batch)
 
-    real = getattr(device_queue.DeviceQueue, step)
-    monkeypatch.setattr(device_queue.DeviceQueue, step, limited)
-    monkeypatch.setattr(device_server, "PIECE_FRAMES", 2)
+    real = getattr(gpu.Gpu, step)
+    monkeypatch.setattr(gpu.Gpu, step, limited)
+    monkeypatch.setattr(gpu_threads, "PIECE_FRAMES", 2)
     with jax.default_device(jax.devices("cpu")[0]):
         summary = run(sim_logs[:1], tmp_path / "a", workers=2, batch_size=16, pictures=0)
     assert not summary.failed and not summary.logs[0].lost and tried[: len(sizes)] == sizes
@@ -467,9 +468,9 @@ def test_a_killed_worker_of_a_device_loses_no_frames(sim_logs, plain_run, tmp_pa
 
 
 @pytest.mark.parametrize(("flag", "value"), [("workers", 0), ("batch_size", 0)])
-def test_workers_and_batch_size_must_be_at_least_1(tmp_path, flag, value):
+def test_workers_and_batch_size_must_be_at_least_1(flag, value):
     with pytest.raises(ConfigError, match=f"--{flag.replace('_', '-')}.* 1 "):
-        engine.RunOptions(tmp_path, **{flag: value})
+        engine.RunOptions(**{flag: value})
 
 
 def alive(pid: int) -> bool:
@@ -573,7 +574,7 @@ def test_a_signal_just_before_workers_start_does_not_hang(monkeypatch):
 
 @pytest.mark.parametrize("deaths", [2, 4])
 def test_workers_start_again_once_if_the_fork_server_dies_while_they_start(monkeypatch, deaths):
-    """pytest turns an exception that leaves a thread into a failure."""
+    """If an exception leaves a thread, pytest fails the test."""
     begin, left = BaseProcess.start, iter(range(deaths))
 
     def start(self: Any) -> None:

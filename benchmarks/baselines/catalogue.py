@@ -7,7 +7,7 @@ from benchmarks.baselines.registry import Baseline
 from jaxdet.presets import preset
 
 SCALES = (1.0, 4.0)
-"""Factors for z: none, or the ratio of the paper's gaps, 0.40 m sideways and 0.10 m in depth."""
+"""Factors for z: 1, or the ratio of the paper's gaps, 0.40 m sideways and 0.10 m in depth."""
 DISTANCES_M = (0.1, 0.2, 0.3, 0.4, 0.6, 0.9)
 SKLEARN = "scikit-learn: Pedregosa et al., JMLR 12 (2011), 2825-2830"
 RSC = "Xie et al., Information Sciences 527 (2020), 279-292; our reading"

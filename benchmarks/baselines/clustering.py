@@ -20,7 +20,7 @@ def hierarchical(
     distance_m: float,
     linkage: Literal["ward", "complete", "average", "single"] = "ward",
 ) -> np.ndarray:
-    """Cluster by scikit-learn's agglomerative method, up to ``distance_m`` (ward: its cost)."""
+    """Cluster by scikit-learn's agglomerative method, up to ``distance_m`` (for ward, the cost)."""
     model = AgglomerativeClustering(
         n_clusters=None,  # pyright: ignore[reportArgumentType] (scikit-learn documents None)
         linkage=linkage,
@@ -47,7 +47,7 @@ def dbscan(points: np.ndarray, eps_m: float, min_samples: int) -> np.ndarray:
 
 
 def hdbscan(points: np.ndarray, min_points: int, min_samples: int, single: bool) -> np.ndarray:
-    """Cluster by scikit-learn's HDBSCAN; its minimum size is that of all methods.
+    """Cluster by scikit-learn's HDBSCAN, with the minimum size of clusters of all methods.
 
     Its ``cluster_selection_epsilon`` is left at 0: in scikit-learn 1.9.1 it raises a TypeError
     with NumPy 2.4 as soon as it has something to merge.
@@ -91,8 +91,8 @@ def chameleon(
         points: Points ``(n, d)`` [m].
         clusters: Number of clusters at which merging ends.
         neighbours: Number of neighbours of each point in the graph.
-        limit: Number of points in the random sample that is clustered; any other point gets the
-            label of the nearest point of the sample.
+        limit: Maximum number of points that are clustered, a random sample; any other point gets
+            the label of the nearest point of the sample.
 
     Returns:
         Labels ``(n,)`` int64.

@@ -33,7 +33,7 @@ class Baseline:
             metres, n >= 2, and the labels ``(n,)`` integer, negative = noise. In the space
             ``frame``, it is ``run(frame, config, **params)`` with the same labels; in the space
             ``image``, ``run(frame, **params)`` with labels ``(H, W)``.
-        space: Input of ``run``, see there.
+        space: Kind of input of ``run``, see ``run``.
         defaults: Value of each parameter for use without tuning.
         grid: Values with which :func:`benchmarks.baselines.tune` starts, by parameter.
         citation: Source of the method.
@@ -86,9 +86,9 @@ def labels_of(
 
     Args:
         baseline: The method.
-        frame: Preprocessed as for ours.
+        frame: Frame, preprocessed as for jaxdet's method.
         config: Configuration; only the minimum size of clusters is used, by methods that have one.
-        params: Over the defaults.
+        params: Parameters that replace the baseline's defaults.
 
     Returns:
         Labels ``(n,)`` int32 of the features above the floor; in the space ``image``, ``(H, W)``
@@ -118,7 +118,7 @@ def detect_with(
 
     Args:
         baseline: The method.
-        frame: Preprocessed as for ours.
+        frame: Frame, preprocessed as for jaxdet's method.
         config: Configuration of the minimum size and the outlines.
         params: Parameters that replace the baseline's defaults.
 

@@ -43,12 +43,12 @@ def rsc_threshold(points: np.ndarray, tau: float, root: Root = "midpoint") -> np
     a removed link always leaves a single point. The last level is the one without links.
 
     Args:
-        points: ``(n, d)``.
+        points: Points ``(n, d)``.
         tau: Maximum length of a link, in the unit of the points.
-        root: Which variant.
+        root: Kind of root of a component.
 
     Returns:
-        ``(n,)`` int64.
+        Labels ``(n,)`` int64.
     """
     labels = np.arange(len(points))
     for level in _levels(points, tau, root):
@@ -63,12 +63,12 @@ def rsc_count(points: np.ndarray, clusters: int, root: Root = "midpoint") -> np.
     removed until it has ``clusters`` components; of equally long ones, those of higher index.
 
     Args:
-        points: ``(n, d)``.
+        points: Points ``(n, d)``.
         clusters: Number of clusters, at least 1; if there are fewer points, each is a cluster.
-        root: Which variant.
+        root: Kind of root of a component.
 
     Returns:
-        ``(n,)`` int64.
+        Labels ``(n,)`` int64.
     """
     labels = np.arange(len(points))
     for level in _levels(points, np.inf, root):

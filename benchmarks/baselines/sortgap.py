@@ -7,24 +7,25 @@ from jaxdet.floor.plane import gap_units
 from jaxdet.types import MAX_LATERAL, Features
 
 SLOT_BITS = 13
-"""A frame has at most 2^13 points."""
+"""Number of bits of a slot in a sort key; a frame has at most 2^13 points."""
 LATERAL_BITS = 19
 SLOT_MASK = (1 << SLOT_BITS) - 1
 
 
 def sort_and_gap(features: Features, depth_unit: float, config: Config) -> np.ndarray:
-    """Sorts by depth, cuts at gaps, sorts each set sideways, cuts again; equals the reference.
+    """Cluster points by gaps in depth and then sideways; the labels equal those of the reference.
 
-    Every sort is of one integer key that carries the slot in its low bits, which NumPy sorts in
-    vectors; nothing is looped over but the frames.
+    Points are sorted by depth and split at gaps; each set is sorted and split again sideways. Each
+    sort key is one integer with the slot in its low bits, which NumPy sorts with vector
+    instructions. The only loop is over frames.
 
     Args:
-        features: ``(B, N)`` points.
+        features: Points ``(B, N)``.
         depth_unit: Metres in one depth unit.
-        config: The gaps and N of its cluster part.
+        config: Configuration, of which the gaps and ``min_points`` of ``cluster`` are used.
 
     Returns:
-        ``(B, N)`` int32 labels, numbered by nearest z, then smallest x.
+        Labels ``(B, N)`` int32, numbered by nearest z, then smallest x.
     """
     depth_gap, lateral_gap = gap_units(config.cluster, depth_unit)
     labels = np.full(features.z.shape, -1, np.int32)
@@ -49,14 +50,14 @@ def sort_and_gap(features: Features, depth_unit: float, config: Config) -> np.nd
 
 
 def _runs(cuts: np.ndarray, min_points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Each entry's run, and whether that run has more than ``min_points`` entries."""
+    """Return the run of each entry, and whether that run has more than ``min_points`` entries."""
     run = np.zeros(len(cuts) + 1, np.intp)
     np.cumsum(cuts, out=run[1:])
     return run, (np.bincount(run) > min_points)[run]
 
 
 def _numbers(z: np.ndarray, x: np.ndarray, run: np.ndarray, large: np.ndarray) -> np.ndarray:
-    """The number of each entry's run among the large ones, by nearest z, then smallest x."""
+    """Return the number of each entry's run among the large ones, by nearest z, then smallest x."""
     starts = np.flatnonzero(np.concatenate([[True], run[1:] != run[:-1]]))
     nearest = np.minimum.reduceat(z, starts)
     order = np.lexsort((x[starts], nearest, ~large[starts]))

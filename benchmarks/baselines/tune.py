@@ -40,13 +40,13 @@ def tune(
     Args:
         baseline: The method.
         frames: Tuning frames, never those of the test.
-        truths: Of each, with ``B = 1``.
-        objective: What to make large; NaN counts as the worst.
-        config: The shared size rule and outlines.
-        eval_config: What counts.
+        truths: Ground truth of each frame, ``B = 1``.
+        objective: Function of the score that is maximised; NaN counts as the worst.
+        config: Configuration of the minimum size and the outlines, common to all methods.
+        eval_config: Configuration of the evaluation.
 
     Returns:
-        The best trial; of equals, the first.
+        The best trial; of equally good ones, the first.
     """
 
     def value(params: dict[str, Any]) -> float:
@@ -66,10 +66,10 @@ def search(
     Args:
         trials: Settings, all with the same names.
         numbers: Names of settings that are increased and decreased.
-        objective: What to make large; NaN counts as the worst.
+        objective: Function of the settings that is maximised; NaN counts as the worst.
 
     Returns:
-        The best trial; of equals, the first.
+        The best trial; of equally good ones, the first.
     """
     known: dict[tuple[Any, ...], float] = {}
 
@@ -113,10 +113,10 @@ def run_frames(
     Args:
         baseline: The method.
         frames: The frames.
-        truths: Of each, with ``B = 1``.
+        truths: Ground truth of each frame, ``B = 1``.
         params: Parameters that replace the method's defaults.
-        config: The shared size rule and outlines.
-        eval_config: What counts.
+        config: Configuration of the minimum size and the outlines, common to all methods.
+        eval_config: Configuration of the evaluation.
     """
     tallies: list[Tally] = []
     for frame, truth in zip(frames, truths, strict=True):

@@ -27,7 +27,7 @@ PANES = {"glass with holes": 0.4, "a clear pane": 0.0}
 
 
 class Case(NamedTuple):
-    """Case."""
+    """Hard case: a scene, and the criterion by which the result is judged."""
 
     group: str
     key: str
@@ -53,7 +53,7 @@ LOW: dict[tuple[int, float], tuple[float, ...]] = {
     (15, 10.0): (2.5, 3.0),
     (15, 15.0): (2.5, 3.0),
 }
-"""Distances [m], by side and height of a box [cm]."""
+"""Distances of a box [m], by its side and height [cm]."""
 PAIRS = ((2.0, 30), (3.0, 80))
 """Distance [m] and height [cm] of two boxes."""
 GAPS_CM = (5, 10, 15, 20, 30)

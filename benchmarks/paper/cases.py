@@ -34,7 +34,7 @@ DROP_WITHIN_M = 0.3
 
 
 class Task(NamedTuple):
-    """Scene of a case by a seed; task of a worker."""
+    """Task of a worker: a case and the seed of its scene."""
 
     key: str
     seed: int

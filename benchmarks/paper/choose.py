@@ -33,7 +33,7 @@ FIRST = {
     "depth_gap_m": 0.1,
     "lateral_gap_m": 0.4,
 }
-"""Values of the preset before the choice (297f469), which were guesses."""
+"""Values of the preset before this choice (commit 297f469), which were guesses."""
 JUDGED: dict[str, dict[str, Any]] = {
     "first values": FIRST,
     "first values, N = 3": FIRST | {"min_points": 3},
@@ -69,7 +69,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Print each trial that is better than those before, then the best; or compare."""
+    """Print each trial that is better than all before it, then the best; or compare variants."""
     start_worker()
     start, store = time.perf_counter(), Store(options.frames)
     if options.judge:

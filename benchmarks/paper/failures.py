@@ -116,7 +116,7 @@ def _reason(found: Detections, shot: Shot, number: int, config: Config) -> str:
 
 
 def _pictures(section: Section, lab: Lab, system: System, failed: list[Failure]) -> None:
-    """Return the worst frames of each light in turn, each scene once."""
+    """Add pictures of the worst frames of each light, each scene once."""
     pictures = []
     for failure in worst_of(failed, lab.counts.worst):
         shot, tally = lab.load([failure.spec])[failure.number], failure.tally
@@ -133,7 +133,7 @@ def _pictures(section: Section, lab: Lab, system: System, failed: list[Failure])
 
 
 def worst_of(failed: list[Failure], count: int) -> list[Failure]:
-    """Add pictures of the worst frames of each light in turn, each scene once."""
+    """Return about ``count`` of the worst frames, equally many of each light, each scene once."""
     chosen: list[Failure] = []
     seen: set[tuple[str, int, int]] = set()
     for light in LIGHTS:

@@ -24,7 +24,7 @@ from jaxdet.reference.paper._ground import above_floor
 SOURCES = ("tf", "estimate")
 """Priors of the floor: the mount of the camera, or none."""
 PIXELS = "_pixels"
-"""Suffix of a source: figures of all pixels that show the floor or an obstacle."""
+"""Suffix of a source, for the figures of all pixels that show the floor or an obstacle."""
 KINDS = ("", PIXELS)
 DIRECTIONS: dict[str, Direction] = {"floor_kept": "lower", "obstacle_kept": "higher"}
 Key = tuple[str, float, float, float]
@@ -75,7 +75,7 @@ def _ground(shot: Shot, source: str, config: Config) -> tuple[np.ndarray, np.nda
 
 
 def tallies_of(lab: Lab) -> dict[Key, list[Tally]]:
-    """Tallies of frames by source, pitch, roll and slope [degree]."""
+    """Return the tallies of frames by source, pitch, roll and slope [degree]."""
     seeds = lab.seeds[: lab.counts.floor_seeds]
     poses = list(product(PITCHES_DEG, ROLLS_DEG, SLOPES_DEG))
     specs = [

@@ -10,7 +10,7 @@ from benchmarks.paper.realframes import frames_with_floor
 from benchmarks.paper.section import Section, number, percent
 from benchmarks.paper.systems import DEFAULT, System
 from jaxdet.cli.truth import score_against
-from jaxdet.engine.color import method_frames
+from jaxdet.engine.device import method_frames
 from jaxdet.errors import JaxdetError
 from jaxdet.eval import Tally, score
 from jaxdet.io import open_log

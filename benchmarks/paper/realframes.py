@@ -23,7 +23,7 @@ from jaxdet import reference
 from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.engine import decide_planes
-from jaxdet.engine.color import method_frames
+from jaxdet.engine.device import method_frames
 from jaxdet.eval.boxes import match_boxes
 from jaxdet.eval.frame import cell_points
 from jaxdet.floor.plane import floor_prior

@@ -20,7 +20,7 @@ from benchmarks.paper.sun_scenes import (
 )
 from benchmarks.scores.boxes import BoxTally, tally_boxes
 from jaxdet.config import Config
-from jaxdet.engine.color import method_frames
+from jaxdet.engine.device import method_frames
 from jaxdet.errors import InputError, JaxdetError
 from jaxdet.eval.boxes import MIN_IOU, match_boxes
 from jaxdet.floor.plane import down_vector

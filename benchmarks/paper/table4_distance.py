@@ -11,7 +11,7 @@ from jaxdet.eval import Tally, total
 
 SHOWN = (DEFAULT, PAPER)
 Cells = dict[tuple[str, float, str], Tally]
-"""By system, distance and light."""
+"""Counts by system, distance [m] and light."""
 
 
 def specs_of(lab: Lab, distance_m: float, light: str) -> list[Spec]:

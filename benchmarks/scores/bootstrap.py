@@ -1,8 +1,7 @@
-"""Intervals by resampling frames or scenes with replacement.
+"""Percentile intervals by resampling frames or scenes with replacement.
 
-Efron, The Annals of Statistics 7 (1979), 1-26; percentile intervals. Frames of one scene are
-alike: give one tally a scene (:func:`jaxdet.eval.total` of its frames) where the claim is about
-new scenes.
+Efron, The Annals of Statistics 7 (1979), 1-26. The frames of a scene are not independent: for
+statements about new scenes, pass one tally per scene (:func:`jaxdet.eval.total` of its frames).
 """
 
 from collections.abc import Sequence
@@ -17,7 +16,7 @@ RESAMPLES = 1000
 
 
 class Interval(NamedTuple):
-    """Where a figure lies with the given confidence; NaN where it can't be said."""
+    """Ends of the confidence interval of a figure; NaN if it can't be computed."""
 
     low: float
     high: float
@@ -26,24 +25,24 @@ class Interval(NamedTuple):
 def intervals(
     tallies: Sequence[Tally], level: float = 0.95, resamples: int = RESAMPLES, seed: int = 0
 ) -> dict[str, Interval]:
-    """Percentile intervals of all figures of a score.
+    """Compute the percentile intervals of all figures of a score.
 
     Args:
-        tallies: One for each unit that is drawn, a frame or a scene.
-        level: Share of the resampled figures between the two ends.
-        resamples: How many times as many units are drawn with replacement.
-        seed: Of the drawing.
+        tallies: Tally of each unit that is drawn, a frame or a scene.
+        level: Fraction of the resampled figures between the two ends.
+        resamples: Number of resamples, each with as many units as there are tallies.
+        seed: Seed of the resampling.
 
     Returns:
-        By the name of the figure in :class:`jaxdet.eval.Score`. Resamples in which a figure is
-        NaN are left out.
+        Intervals by the name of the figure in :class:`jaxdet.eval.Score`. Resamples in which a
+        figure is NaN are left out.
     """
     figures = resampled(tallies, resamples, seed)
     return {name: _interval(values, level) for name, values in figures.items()}
 
 
 def resampled(tallies: Sequence[Tally], resamples: int, seed: int) -> dict[str, np.ndarray]:
-    """All figures of ``resamples`` draws, by name, each ``(resamples,)`` float64."""
+    """Return all figures of the resamples, by name, each ``(resamples,)`` float64."""
     if not tallies:
         return {}
     units = len(tallies)

@@ -1,4 +1,4 @@
-"""Image boxes of detections against labelled real frames, where no simulator knows the truth.
+"""Comparison of the image boxes of detections with labels of real frames.
 
 A box is ``u_min v_min u_max v_max``, its first and last column and row [pixel], as in the table
 ``obstacles``. A detection and an object are a pair when their boxes overlap by enough, intersection
@@ -41,7 +41,7 @@ class FrameLabels(NamedTuple):
 
 
 class BoxTally(NamedTuple):
-    """Counts of one frame; those of several frames are their sums."""
+    """Counts of one frame; the counts of several frames are added."""
 
     objects: int = 0
     detections: int = 0
@@ -50,7 +50,7 @@ class BoxTally(NamedTuple):
     swamped: int = 0
     """1 if a box covers more than half of the floor, whether or not the detection counts."""
     on_floor: int = 0
-    """Number of detections without an object whose box is at least half floor."""
+    """Number of false detections with a box of which at least half is floor."""
     floor_pixels: int = 0
     """Number of floor pixels with depth."""
     floor_kept: int = 0
@@ -71,11 +71,11 @@ class BoxScore(NamedTuple):
     recall: float
     """Share of the objects that are found."""
     precision: float
-    """Share of the detections that count which match an object."""
+    """Fraction of the counted detections that match an object."""
     swamped: int
     """Number of frames in which the floor is detected as an obstacle."""
     on_floor: int
-    """Number of false detections whose box is at least half floor."""
+    """Number of false detections with a box of which at least half is floor."""
     floor_kept: float
     """Share of the floor's measured pixels that are classified as above the floor."""
     error_median_m: float
@@ -212,10 +212,11 @@ def labels_of_image(
 
     Args:
         image: Labels, ``(H, W)`` integer.
-        z_m: ``(H, W)`` float, forward depth [m], 0 = none.
-        camera: Its camera.
-        least_pixels: Objects with fewer pixels are no objects; a detection of one is false.
-        least_height_m: Objects less high above the labelled floor are unknown [m].
+        z_m: Forward depth ``(H, W)`` float [m], 0 = none.
+        camera: Intrinsics of the image.
+        least_pixels: Minimum number of pixels of an object; detections of smaller ones are false.
+        least_height_m: Minimum height of an object above the labelled floor [m]; detections of
+            lower ones are neither right nor wrong.
 
     Raises:
         ValueError: A minimum height is given, but too few floor pixels have depth.
@@ -250,9 +251,9 @@ def heights(z_m: np.ndarray, floor: np.ndarray, camera: Intrinsics) -> np.ndarra
     again without the points whose distance is more than three times the median.
 
     Args:
-        z_m: ``(H, W)`` float, forward depth [m], 0 = none.
+        z_m: Forward depth ``(H, W)`` float [m], 0 = none.
         floor: Mask of the floor, ``(H, W)`` bool.
-        camera: Its camera.
+        camera: Intrinsics of the image.
 
     Returns:
         Heights ``(H, W)`` float64 [m]; where there is no depth, the height of the camera.
@@ -262,7 +263,7 @@ def heights(z_m: np.ndarray, floor: np.ndarray, camera: Intrinsics) -> np.ndarra
     """
     used = floor & (z_m > 0)
     if used.sum() < MIN_PLANE_PIXELS:
-        raise ValueError(f"{used.sum()} pixels of floor with a depth")
+        raise ValueError(f"only {used.sum()} floor pixels have depth")
     rays = np.stack([*pixel_rays(camera), np.ones_like(z_m, np.float64)], axis=-1)
     height_m = np.empty(z_m.shape)
     for _ in range(3):

@@ -13,8 +13,8 @@ def group_objects(truth: FrameTruth, lateral_gap_m: float, depth_gap_m: float) -
     classified as one class" (Section 3.4). In each frame, two visible obstacles are joined if the
     extents of their visible surfaces in the ground frame are at most ``lateral_gap_m`` apart
     sideways and at most ``depth_gap_m`` apart forward; joining is transitive. The definition is
-    that of the method, so figures on such a truth favour the method: say so, and give the figures
-    on the original truth too.
+    that of the method, so figures on such a truth favour the method: reports must state that, and
+    also have the figures on the original truth.
 
     Args:
         truth: Ground truth with ``ground_min`` and ``ground_max``.

@@ -97,7 +97,7 @@ def test_every_baseline_runs_with_few_points(name, frame):
         assert (found.points.labels.labels[~kept] == -1).all()
 
 
-def test_the_registry():
+def test_baselines_have_titles_citations_and_grids_of_their_parameters():
     for name, baseline in BASELINES.items():
         assert baseline.name == name and baseline.citation and baseline.title
         known = {"depth_scale", *baseline.defaults, *(f.name for f in fields(ClusterConfig))}
@@ -105,7 +105,7 @@ def test_the_registry():
         assert 5 <= len(baseline.trials()) <= 60 or name == "hierarchical_default"
 
 
-def test_the_paper_s_rule_is_the_reference(frame):
+def test_the_baseline_of_the_papers_rule_equals_the_reference(frame):
     rule = preset("paper")
     found = detect_with(BASELINES["paper"], frame, rule)
     expected = reference.paper.cluster(frame.features, 0.001, rule)
@@ -116,7 +116,7 @@ def test_the_paper_s_rule_is_the_reference(frame):
         assert not ours[:, 3:].any()
 
 
-def test_single_linkages_agree(frame):
+def test_single_linkages_of_both_libraries_give_the_same_clusters(frame):
     gap = {"distance_m": 0.07}
     one, two = (detect_with(BASELINES[k], frame, CONFIG, gap) for k in LINKAGES)
     np.testing.assert_array_equal(one.points.labels.labels, two.points.labels.labels)
@@ -146,7 +146,7 @@ def test_range_image_by_hand(frame):
     assert len(np.unique(range_image(wall, 80.0))) > 100
 
 
-def test_labels_at():
+def test_a_feature_takes_the_nearest_label_within_the_tolerance():
     image = np.full((5, 5), -1, np.int32)
     image[2, 2], image[2, 4] = 7, 8
     u, v = np.array([0, 3, 4, 0]), np.array([2, 2, 1, 0])
@@ -157,7 +157,7 @@ def test_labels_at():
 # --- Tuning and preprocessing ---
 
 
-def test_tune(frame, truth):
+def test_tuning_chooses_the_best_value_of_the_grid(frame, truth):
     baseline = replace(BASELINES["scipy_single"], grid={"distance_m": (0.01, 0.2, 0.3, 9.0)})
     how = CONFIG, EvalConfig()
     best = tune(baseline, [frame], [truth], lambda figures: figures.f1, *how)
@@ -187,7 +187,7 @@ def test_tuning_searches_outside_of_the_grid(monkeypatch):
     assert choices.params["single"] is True
 
 
-def test_prepare_is_the_pipeline():
+def test_prepared_frames_equal_the_stages_of_the_reference():
     depth, _ = board_picture()
     rng = np.random.default_rng(1)
     color = rng.integers(0, 255, (2, 120, 160, 3), np.uint8)

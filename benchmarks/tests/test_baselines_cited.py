@@ -26,7 +26,7 @@ EASY = {
 
 
 def blobs(count):
-    """Return four clouds with a deviation of 0.1, 3 apart, and the cloud of each point."""
+    """Return the points of four clouds 3 apart with a deviation of 0.1, and their clouds."""
     rng = np.random.default_rng(4)
     truth = np.arange(count) % 4
     return np.array([[0, 0], [3, 0], [0, 3], [3, 3]])[truth] + rng.normal(0, 0.1, (count, 2)), truth
@@ -44,7 +44,7 @@ def test_distant_clouds_are_found_with_equal_labels_each_time(name, count):
     np.testing.assert_array_equal(run(points.copy(), **params), labels)
 
 
-def test_sampling():
+def test_samples_are_reproducible_and_other_points_take_the_nearest_label():
     assert sample(5, 9).tolist() == [0, 1, 2, 3, 4]
     chosen = sample(100, 10)
     assert len(set(chosen)) == 10 and (np.diff(chosen) > 0).all()
@@ -232,7 +232,7 @@ def test_perch_balances_a_chain():
 # --- CHAMELEON ---
 
 
-def test_chameleon_by_its_package():
+def test_chameleon_equals_its_package_on_points_below_the_limit():
     package = pytest.importorskip("pychameleon")
     points, _ = blobs(200)
     own = package.Chameleon(n_clusters=3).fit_predict(points)

@@ -18,7 +18,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def clouds(count, apart=3.0):
-    """Return three clouds in six coordinates with a deviation of 0.1, and each point's cloud."""
+    """Return the points of three clouds ``(n, 6)`` with a deviation of 0.1, and their clouds."""
     rng = np.random.default_rng(5)
     truth = np.arange(count) % 3
     centres = np.eye(6)[:3] * apart
@@ -89,7 +89,7 @@ def test_density_peaks_by_hand():
 
 
 @given(seeds, st.integers(3, 30), st.integers(1, 5))
-def test_neighbour_edges(seed, n, k):
+def test_neighbour_edges_are_mutual_neighbours_and_keep_the_graph_connected(seed, n, k):
     points = np.random.default_rng(seed).random((n, 3))
     k = min(k, n - 1)
     gap = np.sqrt(((points[:, None] - points) ** 2).sum(-1))
@@ -107,12 +107,12 @@ def test_neighbour_edges(seed, n, k):
     assert len(edges - mutual) <= n - 1
 
 
-def test_robust_distance():
+def test_the_robust_distance_by_hand():
     far = np.asarray(dcc._robust(np.array([[0.0, 0], [3, 4], [300, 400]], np.float32), 25.0))
     np.testing.assert_allclose(far, [0, 12.5, 25], rtol=1e-3)
 
 
-def test_continuous_joins_each_cloud_and_no_two():
+def test_each_cloud_is_one_cluster_of_dcc():
     points, truth = clouds(90)
     labels = dcc.continuous(points, 10, 100.0, 10.0)
     assert adjusted_rand_score(truth, labels) == 1

@@ -77,7 +77,7 @@ def tally(found: list[tuple[int, int, int, int]], nearest: list[float]) -> BoxTa
     return tally_boxes(labels(), boxes, np.array(nearest), kept, measured, 0.5)
 
 
-def test_a_wall_is_neither_right_nor_wrong():
+def test_detections_on_unlabelled_walls_do_not_count():
     found = [(4, 2, 7, 10), (0, 0, 18, 9), (30, 8, 35, 13), (20, 15, 25, 19)]
     one = tally(found, [1.1, 1.2, 2.0, 0.5])
     assert one[:5] == (2, 3, 2, 0, 1)
@@ -91,7 +91,7 @@ def test_a_wall_is_neither_right_nor_wrong():
     assert score.error_median_m == score.error_p90_m == pytest.approx(0.1)
 
 
-def test_a_piece_of_an_object_before_a_wall_is_wrong():
+def test_a_box_around_a_small_part_of_an_object_is_a_false_detection():
     one = tally([(4, 2, 7, 4)], [1.0])
     assert (one.detections, one.matched, one.on_floor) == (1, 0, 0)
 
@@ -101,17 +101,17 @@ def test_objects_are_counted_by_their_tags():
     assert [count_tagged(each, tag) for tag in ("path", "low", "thin")] == [(2, 4), (1, 2), (0, 0)]
 
 
-def test_a_box_over_the_floor_swamps_it():
+def test_a_box_over_more_than_half_of_the_floor_swamps_it():
     assert tally([(0, 0, 39, 19)], [0.3])[:5] == (2, 1, 0, 1, 1)
     assert tally([(20, 0, 39, 14)], [0.3]).swamped == 0
 
 
-def test_nothing_to_divide_by():
+def test_figures_without_objects_and_detections_are_nan():
     score = score_boxes([BoxTally()])
     assert np.isnan([score.recall, score.precision, score.floor_kept, score.error_p90_m]).all()
 
 
-def test_near_surface():
+def test_the_near_surface_ignores_single_nearer_depths():
     assert np.isnan(near_surface(np.zeros(0)))
     deep = np.concatenate([np.full(50, 2.0), np.full(30, 1.5), [0.1]])
     assert near_surface(deep) == 1.5
@@ -135,11 +135,11 @@ def test_heights_over_a_tilted_floor():
     height_m = heights(z_m, image == 1, CAMERA)
     np.testing.assert_allclose(height_m[image == 2], 0.03, atol=1e-9)
     np.testing.assert_allclose(height_m[image == 3], 0.1, atol=1e-9)
-    with pytest.raises(ValueError, match="0 pixels of floor"):
+    with pytest.raises(ValueError, match="only 0 floor pixels have depth"):
         heights(z_m, image == 9, CAMERA)
 
 
-def test_objects_from_label_images():
+def test_label_images_give_objects_with_a_minimum_size_and_height():
     image, z_m = tilted(0.03)
     every = labels_of_image(image, z_m, CAMERA)
     assert every.boxes.tolist() == [[5, 25, 14, 34], [30, 25, 39, 34]]

@@ -11,7 +11,7 @@ from tests.scenes import frames
 
 
 @pytest.mark.parametrize("drop_m", [0.15, 0.3])
-def test_an_edge_ends_the_floor_and_does_not_turn_it(drop_m: float) -> None:
+def test_a_drop_cut_into_depth_ends_the_rays_and_keeps_the_plane(drop_m: float) -> None:
     pose = Pose(0.8, 15.0, 0.0)
     image = np.rint(cast(pose, [((-4.0, 4.5, 0.0), (4.0, 4.6, 2.5))]) * 1000).astype(np.uint16)
     color = np.zeros((1, *image.shape, 3), np.uint8)

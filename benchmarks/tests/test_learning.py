@@ -15,7 +15,9 @@ NUM_FEATURES = len(PAIR_FEATURES)
 GAP, AGREE = PAIR_FEATURES.index("gap"), PAIR_FEATURES.index("agree")
 
 
-def test_learning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_trained_table_reproduces_a_simple_rule(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The trained table joins pairs with a small gap and common rows."""
     rng = np.random.default_rng(1)
     seen = rng.integers(0, 1000, (3000, NUM_FEATURES))

@@ -68,7 +68,7 @@ RIVALS = ("hierarchical_ward", "rsc", "cure", "dbscan", "range_image")
 
 @pytest.fixture(scope="module")
 def smaller():
-    """Fewer cells in every experiment, and fewer parameters to choose from."""
+    """Reduce the cells of every experiment, and the parameters to choose from."""
     with pytest.MonkeyPatch.context() as patch:
         for name, module in [item for item in sys.modules.items() if item[0] != plan.__name__]:
             for constant, value in SMALLER.items():
@@ -116,7 +116,7 @@ def test_every_finding_is_judged(sections):
     assert missing <= {"findings.acc.defaults", "findings.person", "findings.cylinder"}
 
 
-def test_findings_by_figures_made_by_hand():
+def test_findings_are_judged_by_figures_made_by_hand():
     def figure(key, value, high=math.nan):
         return section.Figure(key, value, "", "higher", math.nan, high)
 
@@ -134,7 +134,7 @@ def test_findings_by_figures_made_by_hand():
     assert found["acc"].verdict == "NO" and found["acc.rsc"].verdict == "NO"
 
 
-def test_results_of_tasks_are_kept(tmp_path):
+def test_results_of_tasks_are_stored_and_reused(tmp_path):
     lab = Lab(TINY, tmp_path)
     numbers = tmp_path / "numbers"
     numbers.write_text("1")
@@ -148,7 +148,7 @@ def _read(path):
     return int(path.read_text())
 
 
-def test_every_experiment_says_something(sections):
+def test_every_experiment_has_text_and_complete_tables(sections):
     assert sections[0].name == "findings"
     assert {s.name for s in sections} == set(main.EXPERIMENTS)
     for one in sections:
@@ -168,7 +168,7 @@ def test_docstrings_name_the_table_or_figure():
         assert not number.isdigit() or label in experiment.__doc__
 
 
-def test_figures_as_json(sections, tmp_path):
+def test_figures_are_written_as_json(sections, tmp_path):
     path = tmp_path / "deep" / "figures.json"
     report.write_json(path, sections, {"Command": "this"})
     data = json.loads(path.read_text(), parse_constant=pytest.fail)
@@ -189,7 +189,7 @@ def test_figures_as_json(sections, tmp_path):
     assert by_key["table1.cure.roadblocks.silhouette"]["paper"] is None
 
 
-def test_report_files(sections, tmp_path):
+def test_the_report_is_written_as_markdown_and_self_contained_html(sections, tmp_path):
     report.write(tmp_path, "A report", sections, {"Seeds": "1 < 2"})
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<li>Seeds: 1 &lt; 2</li>" in page
@@ -202,7 +202,7 @@ def test_report_files(sections, tmp_path):
             assert (tmp_path / line.rpartition("](")[2].rstrip(")")).is_file()
 
 
-def test_frames_are_drawn_once_and_the_same(lab, smaller):
+def test_deleted_frames_are_simulated_again_with_equal_images(lab, smaller):
     spec = lab.test_specs("bucket", "normal")[0]
     path = lab.store.path(spec)
     one = lab.load([spec])[0]
@@ -212,7 +212,7 @@ def test_frames_are_drawn_once_and_the_same(lab, smaller):
     assert np.array_equal(one.color, again.color) and np.array_equal(one.depth, again.depth)
 
 
-def test_recordings(lab, tmp_path):
+def test_recordings_of_a_folder_are_drawn_as_contact_sheets(lab, tmp_path):
     config = SimConfig(scene="single_box", frames=2, width=96, height=72)
     write_log(tmp_path / "one.mcap", config)
     found = realdata.run(lab, tmp_path)
@@ -225,7 +225,7 @@ def test_recordings(lab, tmp_path):
     assert isinstance(last, section.Text) and "Not read" in last.text
 
 
-def test_a_log_of_ones_own_with_the_baselines(lab, tmp_path):
+def test_a_users_log_is_compared_with_the_baselines(lab, tmp_path):
     log = tmp_path / "row.mcap"
     write_log(log, SimConfig(scene="row", frames=2, width=192, height=144))
     lab.log_file, lab.truth = log, log
@@ -252,7 +252,7 @@ def test_a_baseline_that_cannot_run_has_a_row(lab, monkeypatch):
         assert found.rows[-1][0] == "CURE" and "not run: CURE needs a module" in found.rows[-1]
 
 
-def test_the_papers_light_stands_next_to_its_method(sections):
+def test_the_papers_figures_by_light_are_next_to_those_of_its_method(sections):
     (light,) = (one for one in sections if one.name == "fig12")
     marked = {one.key: one.paper for one in light.figures if one.paper is not None}
     assert marked == {
@@ -262,17 +262,17 @@ def test_the_papers_light_stands_next_to_its_method(sections):
     assert isinstance(light.blocks[0], section.Text) and "dim 50 lx" in light.blocks[0].text
 
 
-def test_the_papers_rule_is_tuned_as_its_rivals_are(lab, sections):
+def test_the_papers_rule_is_tuned_like_the_baselines(lab, sections):
     assert set(lab.tuned) == {"paper", *RIVALS}
     assert set(lab.tuned["paper"]) == {"depth_gap_m", "lateral_gap_m"}
 
 
-def test_a_baseline_that_is_not_there(capsys):
+def test_an_unknown_baseline_is_an_error(capsys):
     assert main.main(main.Options(rivals=("k_means",))) == 2
     assert "k_means" in capsys.readouterr().err
 
 
-def test_an_experiment_that_is_not_there(capsys):
+def test_an_unknown_experiment_is_an_error(capsys):
     assert main.main(main.Options(only=("table9",))) == 2
     assert "table9" in capsys.readouterr().err
 
@@ -285,20 +285,20 @@ def test_a_cylinder_not_found_has_an_infinite_error():
     assert math.isnan(errors_of(Tally()).quantile("width", 0.5))
 
 
-def test_wilson():
+def test_the_wilson_interval_by_hand():
     low, high = section.wilson(20, 20)
     assert high == 1.0 and low == pytest.approx(20 / (20 + 1.959964**2))
     assert section.wilson(0, 10).low == 0.0
     assert math.isnan(section.wilson(0, 0).low)
 
 
-def test_texts():
+def test_figures_are_formatted_with_intervals():
     assert section.percent(0.9123, Interval(0.9, 0.95)) == "91.2 % [90.0, 95.0]"
     assert section.number(math.nan) == "-"
     assert section.plain(math.inf) is None and section.plain(np.float64(0.1)) == 0.1
 
 
-def test_the_paper_s_cells_fit_ours():
+def test_the_papers_table_4_has_the_lights_and_distances_of_ours():
     assert set(paper_figures.SUCCESS) == {"strong", "normal", "weaker", "dim"}
     assert {len(row) for row in paper_figures.SUCCESS.values()} == {6}
     assert table4.__doc__ and replace(TINY).width == 192

@@ -1,4 +1,4 @@
-"""Choosing the settings of preset ``paper``: what is judged is what the preset detects."""
+"""Choice of the settings of preset ``paper``: variants are evaluated like the preset itself."""
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ def frames(tmp_path_factory):
     return PresetFrames(Store(tmp_path_factory.mktemp("frames")).load(specs), preset("paper"))
 
 
-def test_the_presets_tallies_are_those_of_the_report(frames):
+def test_tallies_of_the_preset_equal_those_of_the_report(frames):
     found = found_by(paper(), Prepared(frames.shots))
     config = preset("paper")
     for mine, shot, one in zip(frames.tallies({}), frames.shots, found, strict=True):
@@ -36,7 +36,7 @@ def test_the_presets_tallies_are_those_of_the_report(frames):
     assert sum(tally.found for tally in frames.tallies({})) > 0
 
 
-def test_settings_are_those_of_their_parts():
+def test_settings_by_name_are_set_in_their_section():
     config = with_settings(preset("paper"), choose.FIRST)
     assert (config.features.canny_low, config.features.canny_high) == (100.0, 200.0)
     assert (config.cluster.min_points, config.cluster.depth_gap_m) == (10, 0.1)
@@ -45,7 +45,7 @@ def test_settings_are_those_of_their_parts():
         assert hasattr(config.features, name) != hasattr(config.cluster, name)
 
 
-def test_bounds_follow_each_frames_gradients(frames):
+def test_canny_thresholds_at_quantiles_of_the_gradients_change_the_corners(frames):
     image = np.full((8, 8), 10, np.uint8)
     image[:, 4:] = 110
     assert np.unique(gradient(image)).tolist() == [0, 400]
@@ -55,6 +55,6 @@ def test_bounds_follow_each_frames_gradients(frames):
     assert 0 < few < many
 
 
-def test_the_seeds_that_judge_are_used_for_nothing_else():
+def test_the_seeds_of_the_evaluation_are_not_used_otherwise():
     others = {*plan.TUNING_SEEDS, *plan.TEST_SEEDS, *plan.REHEARSAL_SEEDS}
     assert not others & set(plan.PRESET_SEEDS)

@@ -1,4 +1,4 @@
-"""The report's parts on hard conditions: floor claimed, wrong mounts, steps down, single cases."""
+"""Sections of the report on hard conditions: claimed floor, wrong mounts, steps down, cases."""
 
 import numpy as np
 import pytest
@@ -31,13 +31,13 @@ def shot_and_frame(scene, **changes):
 
 @pytest.fixture(scope="module")
 def box():
-    """A box of 30 cm ahead, and what is found of it."""
+    """Return a simulated frame of a box of 30 cm, its ground truth and the detections."""
     shot, frame = shot_and_frame(Scene(boxes=(Box((1.65, 0.0), (0.3, 0.3, 0.3)),)))
     return shot, frame, jaxdet.detect(frames_of([shot]), CONFIG, backend="reference")
 
 
 def with_outline(found, left, right, near, far):
-    """The first obstacle's outline as told [mm], the only one."""
+    """Return detections of one obstacle whose outline has these sides [mm]."""
     obstacles = found.obstacles
     direction, span = obstacles.direction.copy(), obstacles.span.copy()
     direction[0, 0], span[0, 0] = (1, 0), (left, right, near, far)
@@ -47,7 +47,7 @@ def with_outline(found, left, right, near, far):
     )
 
 
-def test_the_floor_that_outlines_claim(box):
+def test_claimed_floor_is_the_drivable_floor_inside_outlines(box):
     shot, frame, found = box
     truth = floor_truth(frame)
     points = truth.points_m[truth.drivable]
@@ -71,12 +71,12 @@ def test_the_floor_that_outlines_claim(box):
     assert claim.share == claim.claimed / drivable
 
 
-def test_a_box_claims_no_floor_but_its_margin(box):
+def test_the_outline_of_a_box_claims_only_the_floor_in_its_margin(box):
     shot, _, found = box
     assert 0 < claim_of(shot, found, CONFIG).share < 0.02
 
 
-def test_what_is_under_another_thing_and_what_is_hardly_measured():
+def test_overlapping_and_hardly_measured_objects_are_classified():
     size, config = (0.3, 0.3, 0.3), eval_config(CONFIG)
     boxes = [Box((1.65, y), size) for y in (-0.5, 0.1, 0.35)]
     shot, _ = shot_and_frame(Scene(boxes=tuple(boxes)))
@@ -106,7 +106,7 @@ def test_a_step_down_is_reported_with_its_distance():
     assert drop_of(found, 0.001) == pytest.approx(1.5, abs=0.1)
 
 
-def test_a_step_needs_neighbouring_rays(box):
+def test_a_step_down_requires_neighbouring_rays(box):
     found = box[2]
     assert np.isnan(drop_of(found, 0.001))
     end, free = np.zeros_like(found.scene.free_end), np.zeros_like(found.scene.free)
@@ -125,7 +125,7 @@ def test_a_case_is_drawn_by_its_seed(key):
     assert scenes[0] != scenes[1] and scenes[0] == build(Draft(1, "case"))
 
 
-def test_gaps_and_walls_are_as_far_as_told():
+def test_gaps_and_distances_of_walls_are_those_of_the_case():
     left, right = sorted(b.center[1] for b in scene_of("gap.10cm.2m").boxes)
     assert right - left == pytest.approx(0.3 + 0.1)
     scene = scene_of("wall.box_40_cm.5cm.2.5m")
@@ -141,5 +141,5 @@ def scene_of(key):
     return CASES[key].build(Draft(5, "case"))
 
 
-def test_a_holed_family_s_scenes_are_that_family_s():
+def test_cases_with_holes_in_depth_show_scenes_of_their_family():
     assert scene_of("holes.mixed.pixels").name == make_scene("mixed", 0).name

@@ -27,7 +27,7 @@ def test_each_box_of_a_label_file_has_a_name(path):
     }
 
 
-def test_classes_of_names():
+def test_names_of_labels_have_the_class_of_their_object():
     people_ = (
         "man with laptop",
         "bald man left",
@@ -53,7 +53,7 @@ def test_classes_of_names():
     assert {class_of(name) for name in others} == {""}
 
 
-def test_rows_of_the_network_as_boxes_of_an_image():
+def test_outputs_of_the_network_are_converted_to_boxes_of_the_image():
     rows = np.array([[0, 256, 128, 512, 0.9, 56], [10, 10, 20, 20, 0.29, 0]], np.float32)
     found = to_pixels(rows, (480, 640, 3))
     assert found.boxes.tolist() == [[0, 240, 160, 479]] and found.classes.tolist() == [56]
@@ -111,7 +111,7 @@ def write_network(folder: Path, last: str = "Reshape") -> tuple[np.ndarray, np.n
     return w.astype(np.float32), b.astype(np.float32)
 
 
-def test_a_network_is_computed(tmp_path):
+def test_the_output_of_a_network_of_one_convolution_by_hand(tmp_path):
     pytest.importorskip("tensorflow")
     w, b = write_network(tmp_path)
     image = np.full((512, 512, 3), (3, 20, 7), np.uint8)
@@ -129,7 +129,7 @@ def test_a_network_that_could_read_files_is_refused(tmp_path):
         load_detector(tmp_path)
 
 
-def test_why_the_detector_is_absent(tmp_path, monkeypatch):
+def test_the_reason_for_a_missing_detector_is_reported(tmp_path, monkeypatch):
     assert "--detector" in why_absent(None)
     assert "no centernet.json" in why_absent(tmp_path)
     (tmp_path / "centernet.json").write_text("{}")
@@ -154,7 +154,9 @@ def made(tmp_path, monkeypatch) -> np.ndarray:
     return boxes
 
 
-def test_counts_of_a_synthetic_recording(made, tmp_path, monkeypatch):
+def test_detected_people_and_chairs_of_a_synthetic_recording_are_counted(
+    made, tmp_path, monkeypatch
+):
     chairs = np.array([made[1], made[3]])  # the second is the bin
 
     def fake(_: np.ndarray) -> Detected:
@@ -178,7 +180,7 @@ def test_counts_of_a_synthetic_recording(made, tmp_path, monkeypatch):
     assert {len(row) for row in table.rows} == {len(table.header)}
 
 
-def test_without_a_detector(tmp_path):
+def test_without_a_detector_the_section_reports_that_it_was_not_run(tmp_path):
     found = section.Section("table3", "")
     people.add_people(Lab(Counts(), tmp_path), found)
     assert "not run" in str(found.blocks[0]) and not found.figures

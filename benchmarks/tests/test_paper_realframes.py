@@ -28,7 +28,7 @@ FRAMES = {"aims_slam": 18, "d435_boxes_felixchenfy": 10}
 
 
 @pytest.mark.parametrize("name", FRAMES)
-def test_labels_of_the_project(name):
+def test_labels_of_the_project_are_complete_and_inside_of_the_image(name):
     boxes = read_boxes(BOXES / f"{name}.txt")
     assert sorted(boxes) == list(range(FRAMES[name]))
     for objects, distance, ignored, _ in boxes.values():
@@ -69,7 +69,7 @@ def made(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def test_a_made_recording(made):
+def test_all_objects_of_a_simulated_recording_are_found(made):
     lab = Lab(Counts(), made / "kept")
     lab.quiet, lab.recordings = True, (made,)
     found = realframes.run(lab)
@@ -101,7 +101,7 @@ def test_a_frame_without_labels_is_left_out(made):
     assert judged.numbers == [0, 2] and len(judged.tallies) == 2 and len(judged.views) == 1
 
 
-def test_without_recordings(tmp_path):
+def test_without_recordings_the_section_reports_that_it_was_not_run(tmp_path):
     found = realframes.run(Lab(Counts(), tmp_path))
     assert not found.figures and "Not run" in str(found.blocks[0])
     assert find_recordings([tmp_path]) == []
@@ -113,7 +113,7 @@ def test_the_folder_of_a_recording_can_be_given(made):
 
 
 @pytest.mark.parametrize("name", FRAMES)
-def test_distances_are_in_the_depth_images(shared_data, name):
+def test_labelled_distances_occur_in_the_depth_images(shared_data, name):
     recording = next(one for one in RECORDINGS if one.name == name)
     boxes = read_boxes(BOXES / f"{name}.txt")
     with open_log(str(shared_data / recording.place)) as log:
@@ -127,7 +127,7 @@ def test_distances_are_in_the_depth_images(shared_data, name):
                 assert (np.abs(part - metres) < 0.05).mean() > 0.02
 
 
-def test_the_figures_are_those_of_a_run(shared_data, tmp_path):
+def test_figures_equal_those_of_a_run_scored_by_the_script_of_the_recordings(shared_data, tmp_path):
     recording = next(one for one in RECORDINGS if one.name == "wheelchair")
     path, config = shared_data / recording.place, Config()
     run_logs(path, tmp_path, config, backend="reference", pictures=0)
@@ -229,7 +229,7 @@ def test_stills_of_repositories_are_converted_to_logs(tmp_path):
     assert run.returncode == 2 and run.stderr.count("\n") == 1 and "no clone" in run.stderr
 
 
-def test_public_recipe():
+def test_repositories_of_the_public_recipe_are_in_one_split_and_not_in_rooms():
     recipe = stills.read_recipe(stills.PUBLIC)
     rooms = stills.read_recipe(stills.ROOMS)
     names = [room["name"] for room in recipe]
@@ -244,7 +244,7 @@ def test_public_recipe():
     assert all(split in ({"learn"}, {"last"}) for split in splits.values())
 
 
-def test_pictures_for_labels(tmp_path):
+def test_images_and_pictures_for_labelling_are_written(tmp_path):
     clone = tmp_path / "clones" / "some+one"
     clone.mkdir(parents=True)
     color = np.full((120, 200, 3), (10, 20, 30), np.uint8)

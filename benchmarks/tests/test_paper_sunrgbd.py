@@ -85,7 +85,7 @@ def made(tmp_path_factory) -> Path:
     return root
 
 
-def test_reading_a_scene(made):
+def test_a_scene_is_read_with_its_labels_and_gravity(made):
     folders = find_scenes(made)
     assert [path.relative_to(made).as_posix() for path in folders] == ["kv1/a", "kv2/b", "xtion/c"]
     scene = read_scene(folders[0], made)
@@ -104,7 +104,7 @@ def test_reading_a_scene(made):
         read_scene(folders[2], made)
 
 
-def test_labels_of_a_scene(made):
+def test_polygons_of_a_scene_are_converted_to_boxes_and_masks(made):
     scene = read_scene(made / "kv1/a", made)
     every, standing = labels_of_scene(scene, standing=False), labels_of_scene(scene, standing=True)
     ids = load_obstacle_ids(made / "row.mcap", [0])[0]
@@ -126,7 +126,7 @@ def test_the_last_word_decides_the_class():
     assert Polygon("wooden floor", square).is_floor and Polygon("rugs", square).is_floor
 
 
-def test_the_section_of_a_folder(made, tmp_path):
+def test_the_scenes_of_a_folder_are_scored_and_pictured(made, tmp_path):
     lab = Lab(Counts(), tmp_path)
     lab.quiet, lab.sunrgbd = True, made
     found = sunrgbd.run(lab)
@@ -143,7 +143,7 @@ def test_the_section_of_a_folder(made, tmp_path):
     assert "1 of 3 scenes" in str(sunrgbd.run(lab).blocks[0])
 
 
-def test_the_tilt_is_compared(made):
+def test_the_tilt_is_the_angle_between_floor_and_gravity(made):
     judged = sunrgbd.judge(sunrgbd.Task(made, made / "kv1/a", pictured=False))
     config = SimConfig(scene="row")
     down = down_vector(np.array([config.camera_pitch_rad]), np.zeros(1))[0]
@@ -151,7 +151,7 @@ def test_the_tilt_is_compared(made):
     assert not judged.views
 
 
-def test_without_a_folder(tmp_path):
+def test_without_a_folder_of_scenes_the_section_reports_the_reason(tmp_path):
     lab = Lab(Counts(), tmp_path)
     assert "Not run" in str(sunrgbd.run(lab).blocks[0])
     lab.sunrgbd = tmp_path
@@ -196,5 +196,5 @@ def test_scenes_can_be_assembled_from_points(made, tmp_path):
     assert scene.polygons is not None and scene.polygons[0].name == "chair"
     assert scene.polygons[0].points.tolist() == [[10, 20], [40, 20], [40, 60], [10, 60]]
     assert scene.down == pytest.approx([0, math.cos(lean), math.sin(lean)])
-    with pytest.raises(InputError, match="the recipe wants commit abc"):
+    with pytest.raises(InputError, match="the recipe is for commit abc"):
         script.copy_files({**source, "files": {"image": "none"}}, tmp_path, tmp_path / "other")

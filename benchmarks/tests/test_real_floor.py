@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.real_floor import simulated
 
 
-def test_depth_errors_of_floors_are_like_real_ones():
+def test_depth_errors_of_simulated_floors_are_in_the_range_of_real_ones():
     """Medians over eight frames are in the range of a D415's frames, clean ones below it."""
     measured, clean = (
         [np.array([[s.no_depth, *s.deviation_m, s.above_step] for s in both]) for both in every]

@@ -44,8 +44,8 @@ def test_aligned_obstacles_must_be_equal():
     assert other.same == 0 and [part.side for part in other.differences] == ["both", "new"]
 
 
-def test_a_moved_camera_is_no_difference():
-    """The depth camera stands 15 mm to the right."""
+def test_equal_obstacles_seen_by_a_moved_camera_are_equal():
+    """The depth camera is 15 mm to the right of the colour camera."""
     found = compared(SHIFTED, [obstacle(0.015)], [obstacle(0.0)])
     assert found.same == 1 and not found.differences
     exact = compare(
@@ -55,7 +55,7 @@ def test_a_moved_camera_is_no_difference():
 
 
 @pytest.mark.parametrize("case", ["rectangle", "cells", "joined", "outside"])
-def test_reasons(case):
+def test_differences_have_their_reason(case):
     wider = obstacle()
     if case == "rectangle":
         wider["corners_ground"] = (np.array(wider["corners_ground"]) * 1.1).tolist()

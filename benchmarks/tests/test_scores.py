@@ -19,7 +19,7 @@ NAN = math.nan
 CALIBRATION = calibration_of(SimConfig(width=160, height=120))
 
 
-def test_intervals():
+def test_intervals_contain_the_figure_and_have_the_width_of_the_standard_error():
     rng = np.random.default_rng(1)
     units = [
         Tally(visible=10, found=int(found), cases=(Case(1, 1.0, True, 0.01 * found, *[NAN] * 3),))
@@ -38,7 +38,7 @@ def test_intervals():
     assert wide.low <= low and wide.high >= high
 
 
-def test_groups():
+def test_obstacles_closer_than_both_gaps_are_one_group():
     plain = frame_truth()
     got = group_objects(plain, 0.4, 0.1)
     assert got.obstacle_id.tolist() == [[[0, 1, 1, 3, 4]]]

@@ -36,7 +36,7 @@ complete -c jaxdet -a '(env COMP_LINE=(commandline -cp) jaxdet complete)'
 
 
 def main(args: list[str]) -> int:
-    """Print the set-up code of a shell, or the candidates; return 0."""
+    """Print the set-up code of a shell, or the completions of ``COMP_LINE``; return 0."""
     if args and args[0] in SCRIPTS:
         print(SCRIPTS[args[0]], end="")
         return 0

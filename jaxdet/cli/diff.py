@@ -87,7 +87,7 @@ def difference_lines(found: "Difference") -> list[str]:
 
 
 def most_different(log: "LogDifference") -> list["FrameDifference"]:
-    """Return the frames that differ most, in frame order: by obstacles first, then by distance."""
+    """Return the frames that differ most, by obstacles and then by distance, in frame order."""
 
     def size(frame: "FrameDifference") -> tuple[int, float]:
         lost = frame.status[0] != frame.status[1]

@@ -101,7 +101,7 @@ def backends_agree() -> tuple[bool, str]:
 
 
 def kernels_answer() -> tuple[bool, str]:
-    """Run the kernels on test images and compare with the stored result."""
+    """Run the kernels on test images and compare their results with the stored ones."""
     from jaxdet.stages import check_kernels
 
     check_kernels()

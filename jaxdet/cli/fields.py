@@ -25,8 +25,8 @@ LETTERS = {
     "--quiet": "-q",
     "--overwrite": "-y",
 }
-"""Short flags, in every command that has the long flag; the same as in ffmpeg, ``rosbag``,
-``mcap``."""
+"""Short flags by long flag, for every command that has the long flag; the same as in ffmpeg,
+``rosbag``, ``mcap``."""
 
 
 class Option(NamedTuple):
@@ -56,7 +56,7 @@ class Option(NamedTuple):
 
     @property
     def letter(self) -> str:
-        """Short form of the flag; mostly empty."""
+        """Short form of the flag; empty for most flags."""
         return LETTERS.get(self.flag, "")
 
     @property

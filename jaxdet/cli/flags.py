@@ -132,7 +132,11 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _for_argparse(word: str, letters: Mapping[str, str]) -> str:
-    """Return a word for argparse: flags with ``-`` for ``_``, negative numbers after a space."""
+    """Return a word as argparse needs it.
+
+    In flags ``_`` becomes ``-``. Negative numbers get a leading space, so that they are not taken
+    for flags.
+    """
     flag, equals, value = word.partition("=")
     flag = letters.get(flag, flag)
     if flag.startswith("--"):

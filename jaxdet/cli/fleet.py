@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxdet.cli.tell import tell
-from jaxdet.engine.options import AGAIN, OF_RUN, OF_RUNNER, RunOptions
+from jaxdet.engine.options import RunOptions
 from jaxdet.memory import parse_size
 
 STATES = ("done", "there", "failed", "replaced")
@@ -35,6 +35,7 @@ class FleetOptions:
 
 def run_on_machines(
     logs: Sequence[str],
+    output: Path,
     options: RunOptions,
     fleet: FleetOptions,
     how: Mapping[str, Any],
@@ -43,10 +44,11 @@ def run_on_machines(
     quiet: bool,
     as_json: bool,
 ) -> int:
-    """Run the command; return the exit code.
+    """Run the command on several machines, or on a share of the logs; return the exit code.
 
     Args:
         logs: Addresses, folders or files.
+        output: Address or folder of the results.
         options: Options of the run.
         fleet: Options of the distribution over machines.
         how: ``preset``, ``config``, ``log`` and ``tracks``, see :func:`jaxdet.fleet.run_log`.
@@ -57,13 +59,13 @@ def run_on_machines(
     from jaxdet.cli.progress import reporting
     from jaxdet.fleet import run_fleet
 
-    how = {**how, **{name: getattr(options, name) for name in (*OF_RUNNER, *OF_RUN, *AGAIN)}}
+    how = {**how, **vars(options)}
     how["spool"] = str(fleet.spool) if fleet.spool else None
     how["spool_size"] = fleet.spool_size and parse_size(fleet.spool_size, "--spool-size")
     with reporting(quiet or as_json) as progress:
         outcomes = run_fleet(
             logs,
-            options.output,
+            output,
             {key: value for key, value in how.items() if value is not None},
             on=fleet.on,
             share=fleet.share,
@@ -83,7 +85,7 @@ def run_on_machines(
 
 
 def _closing(outcomes: list[dict[str, Any]]) -> str:
-    """Return the closing line of a run."""
+    """Return the line of text that ends the output of a run."""
     counts = Counter(one["state"] for one in outcomes)
     frames, found = (sum(one[name] for one in outcomes) for name in ("frames", "obstacles"))
     states = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])

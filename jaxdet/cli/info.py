@@ -58,8 +58,8 @@ class InfoCommand:
     """Read whole logs: check every CRC, pair all frames, count all poses."""
     suggest_mask: Path | None = field(default=None, metadata={"takes": "FILE"})
     """Write a PNG for --log.mask, in which the robot's own body is black: everything above the
-    floor that stays less than 1 m from the camera while it moves. Requires a log with one camera.
-    """
+    floor that stays less than 1 m from the camera while the camera moves. Requires a log with one
+    camera."""
     join: bool = True
     """Join split files into one log per recording."""
     ground: GroundConfig = field(default_factory=GroundConfig)
@@ -110,7 +110,7 @@ def main(args: list[str]) -> int:
 
 
 def _suggest_mask(files: "LogFiles", options: LogOptions, config: Config, path: Path) -> int:
-    """Write a mask of the robot's own body in the camera image, if any of it is visible."""
+    """Write a mask of the robot's own body, if any part of it is visible; return the exit code."""
     if path.suffix.lower() != ".png":
         problem = f"--suggest-mask {path} is not a .png file"
         raise ConfigError(problem, remedy="choose a name that ends with .png")

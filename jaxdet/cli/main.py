@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with stops_raised():  # so that partly written output is removed
             return _guarded(_do, args)
-    except Interrupted as stop:  # while an error was being reported
+    except Interrupted as stop:  # the signal arrived while an error was being reported
         return _fail(str(stop), 128 + stop.signal)
     finally:
         SPINNER.stop()

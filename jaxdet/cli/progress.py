@@ -15,7 +15,7 @@ LINE_EVERY_S = 10.0
 FEW_LOGS = 12
 """Maximum number of logs that get their own lines in plain output."""
 MAX_NAME = 20
-"""Maximum columns for a log's name, so that the line fits in 80 columns."""
+"""Maximum width of a log's name [column], so that the line fits in 80 columns."""
 
 
 @contextmanager
@@ -39,7 +39,7 @@ def _bars() -> Iterator["ProgressCallback"]:
     name = Column(no_wrap=True, overflow="ellipsis", max_width=MAX_NAME)
     columns = (
         TextColumn("{task.description}", markup=False, table_column=name),
-        BarColumn(bar_width=None, table_column=Column(ratio=1)),  # the remaining columns
+        BarColumn(bar_width=None, table_column=Column(ratio=1)),  # takes the remaining width
         TextColumn("{task.fields[text]}", markup=False, table_column=Column(no_wrap=True)),
         TimeRemainingColumn(compact=True),
     )

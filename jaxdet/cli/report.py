@@ -155,13 +155,13 @@ def _log_lines(log: "LogSummary") -> list[str]:
 
 
 def _floor_text(log: "LogSummary") -> str:
-    """Return how many frames have an own floor, and the source of the floor of the others."""
+    """Return how many frames have a floor of their own, and the floor sources of the others."""
 
-    def whose(name: str) -> str:
+    def source_text(name: str) -> str:
         return "none" if name == "none" else f"that of {name}"
 
     others = [
-        f"{count} {'has' if count == 1 else 'have'} {whose(name)}"
+        f"{count} {'has' if count == 1 else 'have'} {source_text(name)}"
         for name, count in sorted(log.floor_sources.items())
         if count and name != "frame"
     ]
@@ -192,7 +192,7 @@ def _score_lines(score: Mapping[str, Any] | None, frames: int) -> list[str]:
 
 
 def _off(score: Mapping[str, Any]) -> str:
-    """Return the error of the distances, and its sign."""
+    """Return the error of the distances and its bias, as text."""
     middle, most, bias = (
         score[name] * 100 for name in ("nearest_error_m", "nearest_error_p90_m", "nearest_bias_m")
     )
@@ -203,7 +203,7 @@ def _off(score: Mapping[str, Any]) -> str:
 
 
 def _claimed_lines(share: float, worst: float) -> list[str]:
-    """Return the share of the drivable floor that lies inside outlines."""
+    """Return the fraction of the drivable floor that lies inside outlines, as lines of text."""
     if math.isnan(share):
         return []
     text = f"           {share:.1%} of the drivable floor is in outlines"

@@ -4,7 +4,7 @@ import logging
 import signal
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.fleet import FleetOptions, run_on_machines
@@ -14,7 +14,7 @@ from jaxdet.cli.settings import defaults
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 from jaxdet.config import Config
-from jaxdet.engine.options import AGAIN, OF_RUN, OF_RUNNER, RunOptions
+from jaxdet.engine.options import RunOptions
 from jaxdet.errors import ConfigError, Interrupted
 from jaxdet.fleet.place import is_url
 from jaxdet.io.options import LogOptions
@@ -99,7 +99,9 @@ class RunCommand:
 
     logs: tuple[str, ...] = field(metadata={"positional": True, "takes": "LOG..."})
     """MCAP, .bag or .db3 files, folders of such files or of images, globs, or s3://BUCKET/PATH."""
-    run: RunOptions = field(metadata={"short": True})
+    output: Path = field(metadata={"takes": "DIR"})
+    """Folder or s3://BUCKET/PATH for the results, one subfolder per log."""
+    run: RunOptions = field(default_factory=RunOptions, metadata={"short": True})
     fleet: FleetOptions = field(default_factory=FleetOptions, metadata={"short": True})
     preset: str = DEFAULT_PRESET
     """Initial configuration: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,
@@ -127,7 +129,7 @@ class RunCommand:
 
 
 def parse(args: list[str]) -> RunCommand:
-    """Parse the arguments on top of the preset and the TOML file."""
+    """Parse the arguments; they override the TOML file, which overrides the preset."""
     config, log, name = defaults(args)
     start = {"preset": name, "method": config, "log": log}
     return parse_flags(RunCommand, args, "jaxdet run", DESCRIPTION, COMMON, start, GROUPS)
@@ -155,7 +157,7 @@ def _run(command: RunCommand) -> int:
     from jaxdet.engine.startup import cache_folders, start_cuda
 
     options, fleet = command.run, command.fleet
-    if fleet.on or fleet.share or any(map(is_url, [*command.logs, options.output])):
+    if fleet.on or fleet.share or any(map(is_url, [*command.logs, command.output])):
         return _run_on_machines(command)
     if options.backend == "jax":
         start_cuda()
@@ -174,15 +176,12 @@ def _run(command: RunCommand) -> int:
     if options.backend == "jax" and not silent and (text := first_time(cache_folders())):
         LOGGER.warning("%s", text)
         SPINNER.start("loading")
-    how: dict[str, Any] = {name: getattr(options, name) for name in (*OF_RUN, *AGAIN)}
-    resources = (getattr(options, name) for name in OF_RUNNER)
-    with reporting(silent) as progress, Runner(*resources) as runner:
+    with reporting(silent) as progress, Runner(**vars(options)) as runner:
         summary = runner.run(
             logs,
-            options.output,
+            command.output,
             command.method,
             log=command.log,
-            **how,
             progress=progress,
             observers=observers,
             preset=command.preset,
@@ -191,7 +190,7 @@ def _run(command: RunCommand) -> int:
         print(to_json(summary.to_dict()), end="")
     elif not command.quiet:
         every = command.verbose or command.debug
-        print("\n".join(summary_lines(summary, options.output, every=every)))
+        print("\n".join(summary_lines(summary, command.output, every=every)))
     code = _exit_code(summary, updated=options.update)
     if command.tracks and summary.whole:
         _link(command)
@@ -208,7 +207,7 @@ def _run_on_machines(command: RunCommand) -> int:
     how = {"config": plain(command.method), "log": plain(command.log)}
     how |= {"preset": command.preset, "tracks": command.tracks}
     shown = {"quiet": command.quiet, "as_json": command.json}
-    where = command.run, command.fleet
+    where = command.output, command.run, command.fleet
     return run_on_machines(command.logs, *where, how, join=command.join, **shown)
 
 
@@ -246,12 +245,12 @@ def _exit_code(summary: "Summary", *, updated: bool) -> int:
 
 
 def _link(command: RunCommand) -> None:
-    """Make the tracks that are missing."""
+    """Link the obstacles of logs without tracks, and print a summary."""
     from jaxdet.cli.track import track_lines
     from jaxdet.tracks import track_results
 
     try:
-        found = track_results(command.run.output, missing=True)
+        found = track_results(command.output, missing=True)
     except KeyboardInterrupt as stop:
         text = "interrupted while linking; run the same command again to resume"
         raise Interrupted(getattr(stop, "signal", signal.SIGINT), text) from None

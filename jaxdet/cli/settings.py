@@ -9,7 +9,7 @@ from jaxdet.errors import ConfigError
 
 
 def defaults(args: Sequence[str]) -> Settings:
-    """Return the configuration of preset and file, to which the flags are applied afterwards.
+    """Return the configuration of preset and file, before other flags override it.
 
     Args:
         args: Arguments of the command, of which only ``--preset`` and ``--config`` are read.

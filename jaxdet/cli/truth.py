@@ -37,8 +37,8 @@ _SUFFIX = ".truth.npz"
 _MIN_PIXELS = 1000
 """Minimum number of obstacle pixels per batch for the check that log and ground truth match."""
 _MAX_OFF = 0.2
-"""Maximum median of ``|ln(z / z_true)|`` on obstacles. With a D435's noise it is at most 0.06 for
-the log's own scene, and at least 0.21 for nine of ten other scenes."""
+"""Maximum median of ``|ln(z / z_true)|`` on obstacles. With a D435's noise the median is at most
+0.06 for the log's own scene, and at least 0.21 for nine of ten other scenes."""
 
 
 def _identity(path: Path) -> dict[str, Any]:
@@ -101,10 +101,10 @@ class LabelScore:
         self._path, self._ground = str(path), config.ground
         self._labels = read_labels(path)
         self.file = _identity(path)
-        """Identifies the labels in the record of the results."""
+        """Size and fingerprint of the file of labels; the results record them."""
 
     def __call__(self, batch: "Batch", found: Detections) -> Tally | str:
-        """Evaluate a batch, ``found`` as NumPy arrays; return a string if it can't be compared."""
+        """Return a batch's counts, or why it can't be compared; ``found`` has NumPy arrays."""
         frames, numbers = batch.frames, np.asarray(batch.frames.number).tolist()
         labels = [
             self._labels.get(("frame", number), self._labels.get(("stamp_ns", stamp)))
@@ -172,7 +172,7 @@ class TruthScore:
         load_truth(self._log)
 
     def __call__(self, batch: "Batch", found: Detections) -> Tally | str:
-        """Evaluate a batch, ``found`` as NumPy arrays; return a string if it can't be compared."""
+        """Return a batch's counts, or why it can't be compared; ``found`` has NumPy arrays."""
         try:
             return self._compare(batch, found)
         except InputError as error:
@@ -215,7 +215,11 @@ class TruthScore:
         return total([right, *claimed_floor(found, floor_m, unit, self.config, valid)])
 
     def _check_depth(self, z_m: np.ndarray, ids: np.ndarray, true_m: np.ndarray) -> None:
-        """Check the depth on obstacles against the ground truth; equal timestamps prove nothing."""
+        """Check depths on obstacles against true depths, as other logs may have equal timestamps.
+
+        Raises:
+            InputError: The depths differ too much.
+        """
         low, high = self.config.min_depth_m, self.config.max_depth_m
         seen = (ids > 0) & (z_m > 0) & (true_m >= low) & (true_m <= high)
         if np.count_nonzero(seen) < _MIN_PIXELS:

@@ -13,7 +13,8 @@ from jaxdet.cli.fields import Option
 
 WIDTH, INDENT = 100, 31
 NARROW, NARROWEST, NARROW_INDENT = 72, 32, 8
-"""Narrower terminals show the description of a flag below it."""
+"""In terminals with fewer than ``NARROW`` columns, descriptions are shown below their flags,
+indented by ``NARROW_INDENT``. Help is never narrower than ``NARROWEST`` columns."""
 _UNITS = {"_m": "M", "_s": "S", "_hz": "HZ", "_mib": "MIB"}
 
 

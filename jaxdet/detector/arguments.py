@@ -28,13 +28,17 @@ ColorOrder = Literal["rgb", "bgr"]
 Pinhole = tuple[float, float, float, float]
 """``fx fy cx cy`` of a camera whose image size is unknown until the first frame."""
 MAX_UNITS = 65535
+"""Maximum depth [depth units]."""
 MAX_PIXELS = 1 << 25
 """Maximum number of pixels per image, as for images in logs."""
 
 
 @contextmanager
 def named(argument: str, remedy: str = "") -> Iterator[None]:
-    """Add the argument's name to errors in the block; ``remedy`` replaces remedies with flags."""
+    """Add the argument's name to errors in the block.
+
+    ``remedy`` replaces a remedy that names a command-line flag.
+    """
     try:
         yield
     except JaxdetError as error:
@@ -370,7 +374,8 @@ def world_poses(values: Any, count: int) -> np.ndarray:
     """
     poses = numbers("T_world_camera", values, np.float64)
     if poses.shape != (count, 4, 4):
-        problem, remedy = f"got shape {poses.shape}", "pass a (4, 4) matrix per frame"
+        problem = f"expected shape ({count}, 4, 4), got {poses.shape}"
+        remedy = "pass a (4, 4) matrix per frame"
         raise InputError(problem, topic="T_world_camera", remedy=remedy)
     for T in poses[~np.isnan(poses).any(axis=(1, 2))]:
         if not is_rigid(T):

@@ -30,7 +30,7 @@ from jaxdet.floor.mount import Mount
 from jaxdet.floor.plane import floor_prior, join_planes, repeat_plane, unknown_plane
 from jaxdet.pipeline import BackendName, detect, estimate_plane
 from jaxdet.results.rows import batch_rows, row_inputs, to_host
-from jaxdet.types import Calibration, Extrinsics, Frames, GroundPlane, Intrinsics
+from jaxdet.types import Calibration, Detections, Extrinsics, Frames, GroundPlane, Intrinsics
 
 if TYPE_CHECKING:
     from jaxdet.engine import Planes
@@ -159,8 +159,8 @@ class Detector:
                 :meth:`FrameResult.draw`; the preset ``paper`` finds corners in it.
             mount: Prior of this frame's floor, for instance from an IMU
                 (:meth:`Mount.from_gravity`); None: the detector's mount.
-            stamp_ns: Timestamp of the frame, an integer [ns], copied to the result; it selects the
-                time window's floor if the detector is from a log with ``ground.window_s``.
+            stamp_ns: Timestamp of the frame, an integer [ns], copied to the result. If the detector
+                is from a log with ``ground.window_s``, it selects the floor of a time window.
             T_world_camera: Pose ``(4, 4)`` of the depth camera's optical frame in the world [m],
                 for :attr:`Obstacle.corners_world`.
 
@@ -193,13 +193,14 @@ class Detector:
             depth: Depth images ``(B, Hd, Wd)``, uint16 or floats in metres, or a sequence of them.
             color: Colour ``(B, H, W, 3)`` or grey images ``(B, H, W)``, uint8, or a sequence of
                 them; None: no images.
-            mounts: Prior of the floor in each frame; the detector's mount replaces None, for all or
-                for single frames.
+            mounts: Prior of the floor of each frame; None, for a frame or for all: the detector's
+                mount.
             stamps_ns: Timestamps ``(B,)``, integers [ns] or datetime64; None: 0.
             T_world_camera: Poses ``(B, 4, 4)``, NaN if unknown; None: all unknown.
 
         Returns:
-            A sequence of the results of :meth:`__call__` for each frame, with their arrays.
+            A sequence of the results of the frames, each as from :meth:`__call__`, with the arrays
+            of the batch.
 
         Raises:
             InputError: The type or shape of the images is wrong, or the numbers of frames differ.
@@ -252,10 +253,11 @@ class Detector:
             RescanError: The log contradicts its index.
         """
         remedy = "create it with Detector.from_log"
-        from jaxdet.engine.color import method_frames
+        from jaxdet.engine.detected import color_to_read, detected
+        from jaxdet.engine.device import OwnDevice
         from jaxdet.io import Log
 
-        if self._log is None:
+        if self._log is None or self._planes is None:
             raise InputError("the detector was not created from a log", topic="log", remedy=remedy)
         of_type("log", log, Log)
         size = whole_number("batch_size", batch_size)
@@ -265,12 +267,13 @@ class Detector:
             problem = f"the detector was created from {self._log[0]!r}, got {log.label!r}"
             raise InputError(problem, topic="log", remedy=remedy)
         of_type("color", color, bool)
-        paper = self.config.cluster.points
         together = min(size, max(len(log.frames), 1), MAX_FRAMES)
-        for batch in log.batches(together, color=color or paper, need_color=paper):
-            if paper:
-                batch = batch._replace(frames=method_frames(batch.frames, self.config))
-            yield from self._detect(batch, *self._priors(batch.frames, None))
+        batches = log.batches(together, **color_to_read(self.config, color))
+        device, planes = OwnDevice(self.config, self._backend, with_cells=True), self._planes
+        for _, batch, found in detected(((None, batch) for batch in batches), planes, device):
+            assert found.detections
+            sources = planes.sources(batch.frames.stamp_ns)
+            yield from self._results(batch, found.detections, sources)
 
     def _priors(
         self, frames: Frames, mounts: Sequence[Mount | None] | None
@@ -310,6 +313,12 @@ class Detector:
         with stops_held_back():
             detections = detect(frames, self.config, backend=self._backend, with_cells=True)
             detections = to_host(detections)
+        return self._results(batch._replace(frames=frames), detections, sources)
+
+    def _results(self, batch: Batch, detections: Detections, sources: list[str]) -> BatchResult:
+        """Return the results of a batch with the priors of its floors."""
+        plane = batch.frames.plane
+        assert plane is not None
         rows = batch_rows("", "", batch, plane, sources, row_inputs(detections), self.config)
         return BatchResult(batch, detections, rows, self.config, self._order)
 

@@ -37,7 +37,7 @@ class FreeFloorLine(NamedTuple):
     to_m: np.ndarray
     """Distance to the end of the free floor, ``(C,)`` float32 [m]."""
     end: np.ndarray
-    """What ends the free floor, ``(C,)`` int8, see :class:`jaxdet.types.FreeEnd`."""
+    """Reason why the free floor ends, ``(C,)`` int8, see :class:`jaxdet.types.FreeEnd`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -185,7 +185,7 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def nearest_text(self) -> str:
-        """Distance of the nearest obstacle, or its depth after ``~`` if the floor is unknown."""
+        """Text of the nearest obstacle's distance, or of its depth after ``~`` without a floor."""
         depths = [float(obstacle.xyz_min[2]) for obstacle in self.obstacles]
         return distance_text(self.nearest_m, min(depths)) if depths else ""
 
@@ -215,7 +215,8 @@ class FrameResult(Sequence[Obstacle]):
     def overflow(self) -> bool:
         """Whether obstacles may be missing because a limit was exceeded.
 
-        The limits are those of obstacles and surfaces, in the preset ``paper`` of corners.
+        The limits are the maximum numbers of obstacles and surfaces or, in the preset ``paper``, of
+        corners.
         """
         return bool(self._column("overflow"))
 
@@ -231,7 +232,7 @@ class FrameResult(Sequence[Obstacle]):
 
     @property
     def drop_m(self) -> float | None:
-        """Distance of the nearest drop [m], or None."""
+        """Distance of the nearest drop [m], or None if no drop is visible."""
         value = float(self._column("drop_m"))
         return None if np.isnan(value) else value
 
@@ -276,8 +277,8 @@ class FrameResult(Sequence[Obstacle]):
         """Draw a picture as ``jaxdet run`` does.
 
         Args:
-            color: Colour image of the frame; None: the detector's colour image, else the depth
-                image in false colours.
+            color: Colour image of the frame; None: the colour image passed to the detector, else
+                the depth image in false colours.
 
         Returns:
             Picture ``(h, w, 3)`` uint8, RGB, about 1280 pixels wide.

@@ -5,13 +5,13 @@ Each module calls those below it::
     runner, single_log           arguments of a run; worker processes that outlive it
     settings, options            configuration and options of a run, and their record in run.json
     scheduler, output            order of the logs; logs that are done; folders of results
-    resources, memory            numbers of processes and frames that fit into memory
-    process_log, log_per_worker  processing of a log, from its files to its folder of results
+    log_job, process_log         processing of a log, from its files to its folder of results
     executors, plan, floors      floors and plan of a log, and the processes that work on its units
+    placement, memory            decision which processes work on a log; what fits into memory
     pool, worker, tasks          worker processes, whose tasks are units of a log, or whole logs
     unit, unit_result            processing of a unit: frames are read, computed, made into rows
-    device                       where a batch is computed: in this process, or by the device server
-    device_server, device_queue, shared_slots   the process with the GPUs, which serves all workers
+    device                       where a batch is computed: in this process, or by its parent's GPUs
+    gpu_threads, gpu, slots      GPUs of the first process, which compute for all workers
 
 A small log is processed by one worker, a large log by all workers::
 

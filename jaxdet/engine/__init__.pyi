@@ -15,8 +15,8 @@ __all__ = [
 
 from .floors import GroundRecord, Planes, decide_planes
 from .options import RunOptions
-from .plan import Observer
 from .progress import Progress, ProgressCallback
 from .runner import Runner, run
+from .settings import Observer
 from .single_log import run_one
 from .startup import start_up, use_caches

@@ -1,4 +1,4 @@
-"""Devices that find the obstacles of a batch: this process, or the device server with a GPU."""
+"""Devices that find the obstacles of a batch: this process, or the GPUs of the main process."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -7,19 +7,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.color import method_frames
-from jaxdet.engine.shared_slots import (
-    SLOTS,
-    Piece,
-    Reply,
-    ServerConfig,
-    ServerPipe,
-    attached,
-)
+from jaxdet.engine.slots import SLOTS, GpuPipe, Piece, Reply, Served, attached
 from jaxdet.engine.startup import computing
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.results.rows import row_inputs, to_host
-from jaxdet.types import Detections, GroundPlane
+from jaxdet.types import Detections, Frames
 
 if TYPE_CHECKING:
     from jaxdet.io import Batch
@@ -35,6 +27,8 @@ class Found(NamedTuple):
     inputs: Detections
     """Part of the detections from which rows are made, see
     :func:`jaxdet.results.rows.row_inputs`."""
+    detections: Detections | None = None
+    """All detections; None from GPUs of another process."""
     busy_s: Mapping[str, float] = MappingProxyType({})
     """Time that other processes spent on the batch, by step, as in
     :attr:`jaxdet.results.summary.Counts.busy_s`."""
@@ -47,20 +41,15 @@ class Device(Protocol):
     """Number of batches that are started before the first of them is finished."""
     doing: str
     """Step to which the time of :meth:`start` and :meth:`finish` belongs: ``compute``, or ``wait``
-    for the device server."""
+    for GPUs of another process."""
 
     @property
     def images(self) -> ImageMemory | None:
         """Memory that the next batch is decoded into; None if any memory may be used."""
         ...
 
-    def start(self, batch: "Batch", plane: GroundPlane) -> Any:
-        """Start a batch.
-
-        Args:
-            batch: Frames with images.
-            plane: Prior of each frame's floor.
-        """
+    def start(self, batch: "Batch") -> Any:
+        """Start a batch of frames with images and with the priors of their floors."""
         ...
 
     def finish(self, started: Any) -> Found:
@@ -75,26 +64,45 @@ class OwnDevice:
         config: The method's parameters.
         backend: Backend that computes.
         ahead: See :class:`Device`.
+        with_cells: See :func:`jaxdet.detect`.
     """
 
     images: ImageMemory | None = None
     doing = "compute"
 
-    def __init__(self, config: Config, backend: BackendName, ahead: int) -> None:
+    def __init__(
+        self, config: Config, backend: BackendName, ahead: int = 0, *, with_cells: bool = False
+    ) -> None:
         self.ahead = ahead
         self._config = config
-        self._backend: BackendName = backend
+        self._how: Any = {"backend": backend, "with_cells": with_cells}
 
-    def start(self, batch: "Batch", plane: GroundPlane) -> Detections:
+    def start(self, batch: "Batch") -> Detections:
         """Start a batch."""
-        frames = method_frames(batch.frames._replace(plane=plane), self._config)
+        frames = method_frames(batch.frames, self._config)
         with computing():
-            return detect(frames, self._config, backend=self._backend)
+            return detect(frames, self._config, **self._how)
 
     def finish(self, started: Detections) -> Found:
         """Wait for a batch."""
         with computing():
-            return Found(to_host(row_inputs(started)))
+            detections: Detections = to_host(started)
+        return Found(row_inputs(detections), detections)
+
+
+def method_frames(frames: Frames, config: Config) -> Frames:
+    """Return frames with the images that the method reads.
+
+    By default the method reads only depth. The preset ``paper`` reads colour too; if the log has no
+    colour images, black ones are used, and its frames have the status ``no_color``.
+    """
+    if not config.cluster.points:
+        return frames._replace(color=None)
+    if frames.color is not None:
+        return frames
+    camera = frames.calibration.image
+    black = np.zeros((len(frames.depth), camera.height, camera.width, 3), np.uint8)
+    return frames._replace(color=black)
 
 
 def out_of_memory(error: Exception) -> bool:
@@ -103,47 +111,41 @@ def out_of_memory(error: Exception) -> bool:
 
 
 class SharedDevice:
-    """The device server, which computes for this worker in another process.
+    """The GPUs of the main process, which compute for this worker.
 
     Args:
-        served: Configuration of the device server, see :meth:`jaxdet.engine.pool.Pool.serve`.
-        server_pipe: Connection of this worker to the device server.
+        served: What they compute, see :meth:`jaxdet.engine.pool.Pool.serve`.
+        pipe: Connection of this worker to :class:`jaxdet.engine.gpu_threads.GpuThreads`.
     """
 
     ahead, doing = SLOTS - 1, "wait"
 
-    def __init__(self, served: ServerConfig, server_pipe: ServerPipe) -> None:
-        self.served, self._server_pipe = served, server_pipe
-        self._slots = slots = served.slots
-        self._first = server_pipe.number * SLOTS
-        self._arrays = slots.arrays(attached(slots.path))
-        self._turn = 0
+    def __init__(self, served: Served, pipe: GpuPipe) -> None:
+        self.served, self._pipe = served, pipe.pipe
+        self._slots = served.slots(attached(served.path))
+        self._first, self._turn = pipe.worker * SLOTS, 0
         self._replies: dict[int, Reply] = {}
 
     def images(self) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
         """Return the memory that the next batch is decoded into."""
         self._turn = (self._turn + 1) % SLOTS
-        depth, color, _ = self._arrays[self._first + self._turn]
-        return depth if color is None else (depth, color)
+        depth, *color = self._slots[self._first + self._turn].images
+        return (depth, color[0]) if color else depth
 
-    def start(self, batch: "Batch", plane: GroundPlane) -> int:
+    def start(self, batch: "Batch") -> int:
         """Start the batch whose images are in the memory that :attr:`images` returned last."""
         slot = self._first + self._turn
-        self._server_pipe.pipe.send(Piece(self._server_pipe.number, slot, plane))
+        assert batch.frames.plane is not None
+        self._pipe.send(Piece(slot, batch.frames.plane))
         return slot
 
     def finish(self, started: int) -> Found:
         """Wait for a batch; its results are valid until its slot is started again."""
-        reply = self._reply(started)
-        inputs = self._slots.unpacked(self._arrays[started].results)
-        return Found(inputs, reply.busy_s)
-
-    def _reply(self, slot: int) -> Reply:
-        """Wait for the device server's reply to a slot; raise the error in it."""
-        while slot not in self._replies:
-            reply: Reply = self._server_pipe.pipe.recv()
-            self._replies[reply.slot] = reply
-        reply = self._replies.pop(slot)
+        while started not in self._replies:
+            received: Reply = self._pipe.recv()
+            self._replies[received.slot] = received
+        reply = self._replies.pop(started)
         if reply.error:
             raise reply.error
-        return reply
+        inputs = self.served.unpacked(self._slots[started].results)
+        return Found(inputs, busy_s=reply.busy_s)

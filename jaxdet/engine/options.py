@@ -1,7 +1,6 @@
-"""Options of a run; every field is a flag of ``jaxdet run``."""
+"""Options of a run."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
 from jaxdet.errors import ConfigError
@@ -9,20 +8,16 @@ from jaxdet.memory import parse_size
 
 MAX_WORKERS = 1024
 """Maximum number of worker processes."""
-OF_RUNNER = ("backend", "workers", "memory")
-"""Options that are arguments of :class:`jaxdet.Runner`."""
-OF_RUN = ("batch_size", "pictures", "map")
-"""Options that are arguments of :meth:`jaxdet.Runner.run`."""
-AGAIN = ("overwrite", "update")
-"""More arguments of :meth:`jaxdet.Runner.run`: they choose logs that are processed again."""
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run that do not change the tables of frames and obstacles."""
+    """Options of a run that do not change the tables of frames and obstacles.
 
-    output: Path = field(metadata={"takes": "DIR"})
-    """Folder or s3://BUCKET/PATH for the results, one subfolder per log."""
+    Each field is a flag of ``jaxdet run``, an argument of :func:`jaxdet.run` and
+    :class:`jaxdet.Runner`, and a key of :func:`jaxdet.engine.run_one`.
+    """
+
     backend: Literal["jax", "reference"] = "jax"
     """jax: compiled, on the GPU if there is one; reference: plain NumPy. Results are equal."""
     batch_size: int | None = None

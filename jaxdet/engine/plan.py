@@ -1,34 +1,12 @@
 """Plan of a log: the decisions that are made before its frames are processed."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import NamedTuple
 
-from jaxdet.config import Config
 from jaxdet.engine.floors import Planes
-from jaxdet.pipeline import BackendName
-from jaxdet.types import Detections
-
-if TYPE_CHECKING:
-    from jaxdet.io import Batch
-
-
-class Observer(Protocol):
-    """Callback that gets each batch with its detections, for instance to compare with ground truth.
-
-    The observer is pickled and sent to the processes that work on a log. Its results may depend
-    only on the log and on the observer's public attributes, which are part of the run's record. If
-    it has an attribute ``needs_color`` that is True, colour images are read for every frame.
-    """
-
-    def __call__(self, batch: "Batch", found: Detections, /) -> Any:
-        """Return a picklable result for a batch, whose detections ``found`` are NumPy arrays."""
-        ...
-
-    def summary(self, seen: Sequence[Any], /) -> Any:
-        """Return the entry of a log in ``summary.json``, from the results for its batches."""
-        ...
+from jaxdet.engine.settings import RunSettings
 
 
 class Unit(NamedTuple):
@@ -65,6 +43,7 @@ def units_of(frames: range, sizes: UnitSizes) -> Iterator[Unit]:
 class LogPlan(NamedTuple):
     """Plan of a log, which holds for all its units; they don't depend on each other."""
 
+    settings: RunSettings
     log: str
     """Name of the log."""
     camera: str
@@ -73,8 +52,6 @@ class LogPlan(NamedTuple):
     """Name of the log, followed by that of the camera if the log has several."""
     frames: range
     """Numbers of the frames."""
-    config: Config
-    backend: BackendName
     batch_size: int
     """Number of frames that are read and computed together."""
     sizes: UnitSizes
@@ -87,9 +64,6 @@ class LogPlan(NamedTuple):
     """Folder for temporary files."""
     picture: str
     """Prefix of the names of pictures."""
-    maps: bool
-    """Whether to make a map."""
-    observers: Mapping[str, Observer]
 
     def units(self) -> Iterator[Unit]:
         """Yield the units in the order of their frames."""

@@ -14,8 +14,8 @@ from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any
 
 from jaxdet.config import Config
-from jaxdet.engine.device_server import DeviceServer, server_config
-from jaxdet.engine.shared_slots import ServerConfig, ServerPipe
+from jaxdet.engine.gpu_threads import GpuThreads, served_for
+from jaxdet.engine.slots import GpuPipe, Served
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.tasks import TaskQueue, UnitQueue
 from jaxdet.engine.worker import Failure, Job, Lost, Worker
@@ -31,7 +31,7 @@ WAITING = 2
 NO_PROGRESS_S = 600.0
 """Time without progress after which a worker counts as lost; compiling may take long [s]."""
 LOADED = [
-    *("jaxdet.engine.log_per_worker", "jaxdet.io.opening", "jaxdet.stages._on_cpu"),
+    *("jaxdet.engine.log_job", "jaxdet.io.opening", "jaxdet.stages._on_cpu"),
     *("jaxdet_kernels.decode", "numpy.ma"),
 ]
 LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages.paper._detect"]
@@ -92,7 +92,7 @@ class Pool:
     """Worker processes; a context manager that ends them.
 
     On the CPU each worker does all steps of a unit. With GPUs, workers read images and make rows,
-    and this process computes for all of them, see :mod:`jaxdet.engine.device_server`.
+    and this process computes for all of them, see :mod:`jaxdet.engine.gpu_threads`.
 
     Workers start when they are first needed and stay for the next log. On Linux and macOS they are
     forked from a server that has loaded JAX and Warp once; elsewhere each worker loads them. If a
@@ -106,9 +106,9 @@ class Pool:
     def __init__(self, backend: BackendName, count: int = 1) -> None:
         self.count = count
         self._backend: BackendName = backend
-        self._server: DeviceServer | None = None
+        self._gpus: GpuThreads | None = None
         self._pipes: list[Any] = []
-        """With GPUs: both ends of a pipe between the device server and each worker."""
+        """With GPUs: both ends of a pipe to each worker."""
         self._context: Any = multiprocessing.get_context(_start_method())
         self._workers: list[Worker] = []
         self._early = 0
@@ -143,7 +143,7 @@ class Pool:
         _start_server(LOADED + LOADED_TO_COMPUTE * compute)
         with stops_held_back():  # close() waits for the thread
             self._pipes = [multiprocessing.Pipe() for _ in range(self.count) if self.devices]
-            ends = [ServerPipe(number, theirs) for number, (_, theirs) in enumerate(self._pipes)]
+            ends = [GpuPipe(number, theirs) for number, (_, theirs) in enumerate(self._pipes)]
             self._workers = [
                 Worker(self._context, self._backend, end) for end in ends or [None] * self.count
             ]
@@ -162,38 +162,33 @@ class Pool:
 
     def serve(
         self, log: "Log", config: Config, batch_size: int | None, piece_frames: int
-    ) -> ServerConfig:
-        """Start the processes and a device server for logs like this one, unless they run already.
+    ) -> Served:
+        """Start the processes, and threads that compute logs like this one, unless they run.
 
-        Args:
-            log: Open log.
-            config: The method's parameters.
-            batch_size: Number of frames computed together; by default those of
-                :data:`jaxdet.engine.device_server.BATCH_PIECES` slots.
-            piece_frames: Maximum number of frames in a slot that fit into the memory.
+        The arguments are those of :func:`jaxdet.engine.gpu_threads.served_for`.
 
         Returns:
-            Configuration of the device server, see :attr:`serving`.
+            What GPUs compute, see :attr:`serving`.
 
         Raises:
             WorkerError: There is too little memory.
         """
         self.start()
-        served = server_config(log, config, batch_size, piece_frames, self.count)
-        if self._server is None or self._server.served != served:
-            self._end_server()
-            self._server = DeviceServer(served, [ours for ours, _ in self._pipes], self.devices)
-        return self._server.config
+        wanted = served_for(log, config, batch_size, piece_frames, self.count)
+        if self._gpus is None or self._gpus.wanted != wanted:
+            self._end_gpus()
+            self._gpus = GpuThreads(wanted, [ours for ours, _ in self._pipes], self.devices)
+        return self._gpus.memory.served
 
     @property
-    def serving(self) -> ServerConfig | None:
-        """Configuration of the device server, whose slots have a path; None without one."""
-        return self._server and self._server.config
+    def serving(self) -> Served | None:
+        """What GPUs compute for workers, and the memory for it; None before :meth:`serve`."""
+        return self._gpus and self._gpus.memory.served
 
-    def _end_server(self) -> None:
-        if self._server:
-            self._server.close()
-        self._server = None
+    def _end_gpus(self) -> None:
+        if self._gpus:
+            self._gpus.close()
+        self._gpus = None
 
     def close(self) -> None:
         """End the processes."""
@@ -203,7 +198,7 @@ class Pool:
                 self._started.wait()
             for worker in self._workers:
                 worker.end()
-            self._end_server()
+            self._end_gpus()
             for end in chain(*self._pipes):
                 end.close()
             self._workers, self._pipes = [], []
@@ -257,10 +252,9 @@ class Pool:
                     for number, worker in enumerate(self._workers):
                         more = len(tasks) > len(self._workers) * (most > 1)
                         if more and len(worker.pending) < most:
-                            if worker not in opened:
-                                opened.add(worker)
-                                worker.send_job(packed)
-                            worker.send_task(tasks.take(number))
+                            first = worker not in opened
+                            opened.add(worker)
+                            worker.send(tasks.take(number), packed if first else b"")
                 if not any(worker.pending for worker in self._workers):
                     return
                 for worker, found in self._poll():

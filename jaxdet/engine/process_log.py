@@ -279,21 +279,21 @@ class CameraRun:
         about.warnings += log.description.warnings
         about.notes += log.description.notes
         executor = self.choose(log, self.memory)
-        about.workers, about.devices = executor.workers, executor.devices
+        about.workers, about.devices = executor.share.workers, executor.devices
         self.report(about, log.label, len(log.frames), "looking for the floor")
-        planes = executor.find_planes(log)
-        self.batch = executor.memory.batch
-        plan = self._plan(log, min(executor.together, max(1, len(log.frames))), planes)
+        planes = executor.find_planes()
+        self.batch = executor.share.batch
+        plan = self._plan(log, min(executor.share.read, max(1, len(log.frames))), planes)
         about.ground = plan.planes.records
         about.warnings += plan.planes.warnings
         self._work(log, plan, executor)
-        notes = self.assembly.finish(plan.observers)
+        notes = self.assembly.finish(self.settings.observers)
         source = self.files.paths[0]
         source = str(source if len(self.files.paths) == 1 else source.parent)
         given = self.settings.config, plan.planes, self.assembly.rows(), source
         body = own_body_note(log, *given)
         about.notes += [body] if body else []
-        if plan.maps:
+        if self.settings.options.map:
             self._write_map(self.assembly.map, log)
         before = len(log.description.warnings)
         about.description = log.described(total(notes))
@@ -302,10 +302,10 @@ class CameraRun:
         about.warnings += filter(None, own)
 
     def _work(self, log: "Log", plan: LogPlan, executor: Executor) -> None:
-        about, clock = self.about, Clock(self.about, executor.workers)
+        about, clock = self.about, Clock(self.about, executor.share.workers)
         count = len(log.frames)
         self.report(about, log.label, count, "starting")
-        with closing(executor.work(log, plan)) as parts:
+        with closing(executor.work(plan)) as parts:
             for unit, part in parts:
                 self.assembly.add(unit, part)
                 clock.tick()
@@ -318,12 +318,11 @@ class CameraRun:
         drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
         backend = settings.options.backend
         return LogPlan(
+            settings=settings,
             log=self.files.name,
             camera=log.camera,
             label=log.label,
             frames=log.frames,
-            config=settings.config,
-            backend=backend,
             batch_size=batch,
             sizes=_unit_sizes(len(log.frames), batch, self.about.workers, backend),
             planes=planes,
@@ -331,8 +330,6 @@ class CameraRun:
             folder=self.folder,
             scratch=self.scratch,
             picture=self._prefix,
-            maps=settings.options.map,
-            observers=settings.observers,
         )
 
     def _write_map(self, occupancy: OccupancyMap, log: "Log") -> None:

@@ -3,44 +3,29 @@
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Literal, TypedDict, Unpack
+from types import MappingProxyType
+from typing import Any
 
 from jaxdet.config import Config
 from jaxdet.config_file import find_config
-from jaxdet.engine.memory import Memory
+from jaxdet.engine.executors import choose_executor
 from jaxdet.engine.options import RunOptions
-from jaxdet.engine.plan import Observer
+from jaxdet.engine.placement import Machine
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.process_log import no_report, process_log
 from jaxdet.engine.progress import ProgressCallback
-from jaxdet.engine.resources import Resources
 from jaxdet.engine.scheduler import check_outside, make_summary, run_logs
-from jaxdet.engine.settings import RunSettings, make_settings
+from jaxdet.engine.settings import Observer, RunSettings, make_settings
+from jaxdet.errors import ConfigError
 from jaxdet.io import LogFiles, LogOptions, find_logs
 from jaxdet.presets import DEFAULT_PRESET, PRESETS
 from jaxdet.results.summary import Summary
 from jaxdet.signals import stops_raised
 
 Logs = str | PathLike[str] | Sequence[str | PathLike[str]] | Sequence[LogFiles]
-
-
-class How(TypedDict, total=False):
-    """Arguments of a run, fields of :class:`jaxdet.engine.RunOptions`."""
-
-    batch_size: int | None
-    pictures: int
-    map: bool
-    overwrite: bool
-    update: bool
-
-
-class Hooks(How, total=False):
-    """Arguments of :meth:`Runner.run`."""
-
-    observers: Mapping[str, Observer]
-    preset: str | None
 
 
 def run(
@@ -50,10 +35,7 @@ def run(
     *,
     log: LogOptions | None = None,
     progress: ProgressCallback | None = None,
-    backend: Literal["jax", "reference"] = "jax",
-    workers: int | None = None,
-    memory: str | None = None,
-    **options: Unpack[How],
+    **options: Any,
 ) -> Summary:
     """Find the obstacles in every frame of logs and write a folder of results for each.
 
@@ -71,10 +53,7 @@ def run(
         config: Configuration, name of a preset, or file.
         log: Options of reading the logs; by default those of ``jaxdet run``.
         progress: Called after each unit of frames and each log.
-        backend: See :class:`jaxdet.engine.RunOptions`, also for the arguments below.
-        workers: Number of processes.
-        memory: Maximum memory of all processes.
-        options: ``batch_size``, ``pictures``, ``map``, ``overwrite`` and ``update``.
+        options: Fields of :class:`jaxdet.engine.RunOptions`, for instance ``workers=4``.
 
     Returns:
         Counts and the summary of every log.
@@ -87,8 +66,8 @@ def run(
         WorkerStartError: Worker processes can't be started.
         Interrupted: A signal, for instance Ctrl-C, ended the run; logs that are done are kept.
     """
-    with Runner(backend, workers, memory) as runner:
-        return runner.run(logs, output, config, log=log, progress=progress, **options)
+    with Runner(**options) as runner:
+        return runner.run(logs, output, config, log=log, progress=progress)
 
 
 class Runner:
@@ -99,23 +78,15 @@ class Runner:
     ...         runner.run(name, "results")
 
     Args:
-        backend: See :class:`jaxdet.engine.RunOptions`, also for the other arguments.
-        workers: Number of processes.
-        memory: Maximum memory of all processes.
+        options: Fields of :class:`jaxdet.engine.RunOptions`, the defaults of its runs.
 
     Raises:
-        ConfigError: There is too little memory for any log, or an argument is wrong.
+        ConfigError: An option is wrong.
     """
 
-    def __init__(
-        self,
-        backend: Literal["jax", "reference"] = "jax",
-        workers: int | None = None,
-        memory: str | None = None,
-    ) -> None:
-        self._options = RunOptions(Path(), backend=backend, workers=workers, memory=memory)
-        Memory(memory, 1)  # too little memory is an error before any file is touched
-        self._pool = Pool(backend)
+    def __init__(self, **options: Any) -> None:
+        self._options = RunOptions(**options)
+        self._pool = Pool(self._options.backend)
 
     def __enter__(self) -> "Runner":
         return self
@@ -135,7 +106,9 @@ class Runner:
         *,
         log: LogOptions | None = None,
         progress: ProgressCallback | None = None,
-        **options: Unpack[Hooks],
+        observers: Mapping[str, Observer] = MappingProxyType({}),
+        preset: str | None = None,
+        **options: Any,
     ) -> Summary:
         """Process logs as :func:`jaxdet.run` does.
 
@@ -145,39 +118,43 @@ class Runner:
             config: Configuration.
             log: Options of reading the logs.
             progress: Called after each unit and each log.
-            options: Those of :func:`jaxdet.run`, ``observers`` (which get each batch of every log,
-                and whose results are in the log's summary) and ``preset`` (name of the preset that
-                the configuration started from, for ``config.json``).
+            observers: They get each batch of every log; their results are in the log's summary.
+            preset: Name of the preset that the configuration started from, for ``config.json``.
+            options: Options that differ from those of the runner; all but ``backend`` may.
+
+        Raises:
+            ConfigError: As of :func:`jaxdet.run`, or the backend differs.
         """
-        found = _find(logs)
-        how = {name: options[name] for name in How.__annotations__ if name in options}
-        chosen = replace(self._options, output=Path(output), **how)
-        check_outside(chosen.output, found)
-        preset = options.get("preset")
+        chosen = replace(self._options, **options)
+        if chosen.backend != self._options.backend:
+            problem = f"this Runner computes with {self._options.backend}, not {chosen.backend}"
+            raise ConfigError(problem, remedy=f'make another: Runner(backend="{chosen.backend}")')
+        found, folder = _find(logs), Path(output)
+        check_outside(folder, found)
         if preset is None and isinstance(config, str) and config in PRESETS:
             preset = config
-        given = find_config(config), log or LogOptions(), chosen, preset, options.get("observers")
-        return run_logs(make_settings(*given), found, self._pool, progress)
+        given = find_config(config), log or LogOptions(), chosen, preset, observers
+        return run_logs(make_settings(*given), found, folder, self._pool, progress)
 
     def run_alone(self, settings: RunSettings, files: LogFiles, folder: Path) -> Summary:
         """Write the results of one log into a new folder outside of any results folder.
 
         Args:
-            settings: Settings; their backend and number of workers are those of this runner.
+            settings: Settings; their backend is that of this runner.
             files: The log.
             folder: New folder for the results.
         """
         start = time.perf_counter()
         check_outside(folder, [files])
-        resources = Resources(settings, self._pool)
+        machine = Machine(settings, self._pool)
         try:
             with stops_raised():
-                given = resources.memory, resources.choose, no_report
+                given = machine.memory, partial(choose_executor, machine), no_report
                 logs = process_log(settings, files, folder, *given)
         except BaseException:
             self.close()
             raise
-        return make_summary(settings, resources, logs, start)
+        return make_summary(settings, machine, logs, start)
 
 
 def _find(logs: Logs) -> list[LogFiles]:

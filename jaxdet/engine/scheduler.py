@@ -1,32 +1,26 @@
-"""Order of the logs of a run, and whether one worker or all workers process a log."""
+"""Order of the logs of a run, as :mod:`jaxdet.engine.placement` decides it."""
 
 import logging
 import os
 import signal
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxdet.engine.log_per_worker import (
-    FEW_BYTES,
-    LogJob,
-    LogTask,
-    OtherCameraError,
-    choose_logs,
-)
+from jaxdet.engine.executors import choose_executor
+from jaxdet.engine.log_job import LogJob, LogTask
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.output import OutputFolder
+from jaxdet.engine.placement import Machine, OtherCameraError, logs_for_workers
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.process_log import process_log
 from jaxdet.engine.progress import Progress, ProgressCallback
-from jaxdet.engine.resources import Resources
 from jaxdet.engine.settings import RunSettings
 from jaxdet.engine.tasks import TaskQueue
 from jaxdet.errors import ConfigError, InputError, Interrupted, OutputError
 from jaxdet.io import LogFiles
-from jaxdet.results.manifest import fingerprint
 from jaxdet.results.publish import remove
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.signals import stops_held_back, stops_raised
@@ -40,6 +34,7 @@ LOGGER = logging.getLogger("jaxdet")
 def run_logs(
     settings: RunSettings,
     logs: Sequence[LogFiles],
+    place: Path,
     pool: Pool,
     progress: ProgressCallback | None,
 ) -> Summary:
@@ -48,11 +43,12 @@ def run_logs(
     Args:
         settings: Settings of the run.
         logs: Logs of the run.
+        place: Folder for the results.
         pool: Worker processes.
         progress: Called after each unit and each log.
     """
-    start, options, resources = time.perf_counter(), settings.options, None
-    with OutputFolder(options.output, settings.record, options) as output:
+    start, options, machine = time.perf_counter(), settings.options, None
+    with OutputFolder(place, settings.record, options) as output:
         done = output.begin(logs)
         kept = frozenset(done)
         left = {log.name: log for log in logs if log.name not in kept}
@@ -61,8 +57,8 @@ def run_logs(
         try:
             with stops_raised():
                 if left:
-                    resources = Resources(settings, pool, apart=output.taken_over)
-                    Scheduler(settings, logs, output, resources, done, progress).run(left)
+                    machine = Machine(settings, pool, apart=output.taken_over)
+                    Scheduler(machine, logs, output, done, progress).run(left)
         except KeyboardInterrupt as stop:
             pool.close()
             number = getattr(stop, "signal", signal.SIGINT)
@@ -74,7 +70,7 @@ def run_logs(
                 error.add_remedy(_standing(done, logs, options))
             raise
     found = [about for log in logs for about in done[log.name]]
-    return make_summary(settings, resources, found, start, kept)
+    return make_summary(settings, machine, found, start, kept)
 
 
 def _standing(done: Collection[str], logs: Sequence[LogFiles], options: RunOptions) -> str:
@@ -88,31 +84,30 @@ class Scheduler:
     """Processes the logs of a run and moves their results to the output folder.
 
     Args:
-        settings: Settings of the run.
+        machine: Memory and processes.
         logs: All logs of the run.
         output: Folder of the results.
-        resources: Memory and worker processes.
         done: Summaries of the cameras of logs that are done, by the logs' names; logs are added.
         progress: Called after each unit and each log.
     """
 
     def __init__(
         self,
-        settings: RunSettings,
+        machine: Machine,
         logs: Sequence[LogFiles],
         output: OutputFolder,
-        resources: Resources,
         done: dict[str, list[LogSummary]],
         progress: ProgressCallback | None,
     ) -> None:
-        self.settings, self.logs, self.output, self.done = settings, logs, output, done
-        self.resources, self.memory, self.pool = resources, resources.memory, resources.pool
+        self.machine, self.settings, self.pool = machine, machine.settings, machine.pool
+        self.logs, self.output, self.done = logs, output, done
         self.progress = progress
         self.numbers = {log.name: number for number, log in enumerate(logs)}
 
     def run(self, left: dict[str, LogFiles]) -> None:
         """Process logs: small ones one per worker, then the others, each by all workers."""
-        alone: dict[str, Calibration | None] = dict.fromkeys(self._for_workers(left))
+        chosen = logs_for_workers(left, self.machine)
+        alone: dict[str, Calibration | None] = dict.fromkeys(chosen)
         """Camera of each small log, None until it is known."""
         while left:
             ready = {name: left[name] for name, camera in alone.items() if self._ready(camera)}
@@ -129,31 +124,23 @@ class Scheduler:
                 if isinstance(answer, list):
                     self._take(left.pop(name), answer)
 
-    def _for_workers(self, left: Mapping[str, LogFiles]) -> list[str]:
-        """Return the logs that are each processed by a single worker, the largest first."""
-        if self.memory.workers == 1 or len(left) == 1:
-            return []
-        sizes = {name: sum(map(_size, log.paths)) for name, log in left.items()}
-        if sum(sizes.values()) < FEW_BYTES and not self.resources.workers_wanted:
-            return []
-        return sorted(choose_logs(sizes, self.memory.workers), key=lambda name: -sizes[name])
-
     def _ready(self, camera: "Calibration | None") -> bool:
         """Return whether a worker can process a log now."""
         if not self.pool.devices:
             return True
         served = self.pool.serving
-        if served is None or self.pool.count != self.memory.workers:
-            return False  # the next shared log starts a device server for all workers
+        if served is None or self.pool.count != self.machine.memory.workers:
+            return False  # from the next shared log on, GPUs compute for all workers
         return served.config == self.settings.config and camera in (None, served.calibration)
 
     def _by_workers(
         self, logs: Mapping[str, LogFiles]
     ) -> Iterator[tuple[str, list[LogSummary] | OtherCameraError | None]]:
         """Let each worker process whole logs; yield the logs' names with the answers."""
-        self.pool.resize(self.memory.workers)
-        self.resources.workers = self.pool.count
-        job = LogJob(self.settings, self.memory, len(self.pool.devices), self.pool.serving)
+        self.pool.resize(self.machine.memory.workers)
+        self.machine.workers = self.pool.count
+        given = self.machine.memory, len(self.pool.devices), self.pool.serving
+        job = LogJob(self.settings, *given)
         tasks = [LogTask(log, self.output.staged(name)) for name, log in logs.items()]
         for task in tasks:
             remove(task.folder)  # left by a worker that was ended
@@ -168,7 +155,7 @@ class Scheduler:
         """Process a log in this process, or divide it among all workers."""
         staged = self.output.staged(log.name)
         remove(staged)  # left by a worker that was lost
-        given = self.memory, self.resources.choose, self._report
+        given = self.machine.memory, partial(choose_executor, self.machine), self._report
         done = process_log(self.settings, log, staged, *given)
         if any(about.error for about in done):
             self._check_there(log)
@@ -215,7 +202,7 @@ class Scheduler:
 
 def make_summary(
     settings: RunSettings,
-    resources: Resources | None,
+    machine: Machine | None,
     logs: list[LogSummary],
     start: float,
     kept: frozenset[str] = frozenset(),
@@ -224,28 +211,21 @@ def make_summary(
 
     Args:
         settings: Settings of the run.
-        resources: Memory and processes; None if all logs were done before.
+        machine: Memory and processes; None if all logs were done before.
         logs: Summaries of the cameras of all logs.
         start: Time at which the run began, by ``time.perf_counter`` [s].
         kept: Names of the logs that were done before.
     """
-    batch = resources.batch if resources else settings.options.batch_size or 0
+    batch = machine.batch if machine else settings.options.batch_size or 0
     seconds = time.perf_counter() - start
     summary = Summary(settings.options.backend, batch, logs, seconds, kept=kept)
-    shared = resources.workers if resources else 1
+    shared = machine.workers if machine else 1
     summary.workers = max([shared, *(log.workers for log in logs)])
     return summary
 
 
 def _gone(log: LogFiles) -> bool:
     return not all(map(os.path.exists, log.paths))
-
-
-def _size(path: Path) -> int:
-    """Return the size of a file, or of a folder's files [bytes]; 0 where it can't be read."""
-    with suppress(OSError):
-        return fingerprint(path).get("size", 0) if path.is_dir() else path.stat().st_size
-    return 0
 
 
 def check_outside(output: Path, logs: Sequence[LogFiles]) -> None:

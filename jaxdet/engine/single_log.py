@@ -2,17 +2,19 @@
 
 import atexit
 from collections.abc import Mapping
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from jaxdet.config import Config
 from jaxdet.config_changes import changed
-from jaxdet.engine.options import OF_RUN, OF_RUNNER, RunOptions
+from jaxdet.engine.options import RunOptions
 from jaxdet.engine.runner import Runner
 from jaxdet.engine.settings import RunSettings, make_settings
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs
+from jaxdet.pipeline import BackendName
 from jaxdet.presets import DEFAULT_PRESET, preset
 
 
@@ -24,11 +26,11 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
     Args:
         log_path: File of the log, or folder of the files of one recording.
         folder: New folder for the results; its parent exists. ``manifest.json`` is written last.
-        how: Plain values, all optional: ``name`` (of the log; by default from its path),
-            ``preset``, ``config`` (sections of the configuration as in ``config.json``), ``log``
-            (fields of :class:`jaxdet.LogOptions`), ``backend``, ``workers``, ``memory``,
-            ``batch_size``, ``pictures`` and ``map`` (see :func:`jaxdet.run`), and ``about`` (more
-            entries of the manifest, for instance ``fetched``, the address of the log's files).
+        how: Plain values, all optional: fields of :class:`jaxdet.engine.RunOptions`, ``name`` (of
+            the log; by default from its path), ``preset``, ``config`` (sections of the
+            configuration as in ``config.json``), ``log`` (fields of :class:`jaxdet.LogOptions`)
+            and ``about`` (more entries of the manifest, for instance ``fetched``, the address of
+            the log's files). Other keys are ignored.
 
     Returns:
         ``status`` (``done`` or ``failed``), ``name``, ``frames``, ``obstacles``, ``seconds``,
@@ -41,7 +43,7 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
         Interrupted: A signal ended the run.
     """
     settings = _settings(how)
-    runner = _runner(*(how.get(key) for key in OF_RUNNER))
+    runner = _runner(settings.options.backend)
     try:
         logs = find_logs([log_path])
         if len(logs) != 1:
@@ -77,16 +79,15 @@ def _settings(how: Mapping[str, Any]) -> RunSettings:
         for key, values in (how.get("config") or {}).items()
     }
     log_options = changed(LogOptions(), how.get("log") or {}, "log", "how")
-    chosen = {key: how[key] for key in (*OF_RUNNER, *OF_RUN) if how.get(key) is not None}
+    names = [field.name for field in fields(RunOptions)]
+    options = RunOptions(**{name: how[name] for name in names if how.get(name) is not None})
     config = Config(**{**vars(config), **sections})
-    return make_settings(
-        config, log_options, RunOptions(Path(), **chosen), name, about=how.get("about")
-    )
+    return make_settings(config, log_options, options, name, about=how.get("about") or {})
 
 
 @cache
-def _runner(backend: Any, workers: Any, memory: Any) -> Runner:
-    """Return the runner of this process for these arguments."""
-    runner = Runner(backend=backend or "jax", workers=workers, memory=memory)
+def _runner(backend: BackendName) -> Runner:
+    """Return the runner of this process for a backend."""
+    runner = Runner(backend=backend)
     atexit.register(runner.close)
     return runner

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pyarrow as pa
 
-from jaxdet.engine.plan import Observer, Unit
+from jaxdet.engine.plan import Unit
+from jaxdet.engine.settings import Observer
 from jaxdet.errors import OutputError
 from jaxdet.results.occupancy import OccupancyMap
 from jaxdet.results.summary import Counts, LogSummary

@@ -1,7 +1,8 @@
 """Worker processes: the code that runs in them, and their handles in the process that starts them.
 
-A worker gets a job, which holds the data that several tasks share (an open log, for instance), then
-tasks one by one, and answers each task. It ends when its parent ends, for any reason.
+A worker gets tasks one by one, and answers each. With the first task of a job it gets the job,
+which holds the data that its tasks share (an open log, for instance). It ends when its parent ends,
+for any reason.
 """
 
 import multiprocessing
@@ -17,9 +18,9 @@ from contextlib import AbstractContextManager, ExitStack, suppress
 from multiprocessing.connection import wait
 from typing import Any, NamedTuple, Protocol
 
-from jaxdet.config import Config
 from jaxdet.engine.device import Device, OwnDevice, SharedDevice, out_of_memory
-from jaxdet.engine.shared_slots import ServerConfig, ServerPipe
+from jaxdet.engine.settings import RunSettings
+from jaxdet.engine.slots import GpuPipe, Served
 from jaxdet.engine.startup import start_reading, start_up
 from jaxdet.errors import FrameStatus, JaxdetError, WorkerError
 from jaxdet.pipeline import BackendName
@@ -27,8 +28,6 @@ from jaxdet.signals import ignore_stops
 
 _ALIVE, _ALIVE_S = "alive", 1.0
 """Message that reports progress, and the minimum time between two such messages [s]."""
-_JOB = "job"
-"""Message that precedes a pickled job."""
 
 
 class Job(Protocol):
@@ -73,12 +72,6 @@ class Lost(NamedTuple):
         return WorkerError(f"{where}: {self.reason}", remedy=remedy)
 
 
-class _Task(NamedTuple):
-    """Message to a worker."""
-
-    task: Any
-
-
 class _Answer(NamedTuple):
     """Message from a worker."""
 
@@ -91,7 +84,7 @@ class Worker:
     Args:
         context: Context of :mod:`multiprocessing`, which decides how processes start.
         backend: Backend that computes in the worker.
-        server_pipe: Connection to the device server; None if the worker computes itself.
+        gpu_pipe: Connection to the threads with GPUs; None if the worker computes itself.
 
     Attributes:
         pending: Tasks without an answer, the oldest first.
@@ -99,10 +92,10 @@ class Worker:
         idle_s: Time without a sign of progress while tasks are pending [s].
     """
 
-    def __init__(self, context: Any, backend: BackendName, server_pipe: ServerPipe | None) -> None:
+    def __init__(self, context: Any, backend: BackendName, gpu_pipe: GpuPipe | None) -> None:
         self.pipe, self._theirs = multiprocessing.Pipe()
-        self._server_pipe = server_pipe
-        given = backend, self._theirs, server_pipe
+        self._gpu_pipe = gpu_pipe
+        given = backend, self._theirs, gpu_pipe
         self.process = context.Process(target=_run_worker, args=given, daemon=True)
         self.pending: deque[Any] = deque()
         self.ready, self.idle_s = False, 0.0
@@ -113,27 +106,24 @@ class Worker:
             self.process.start()
         finally:
             self._theirs.close()
-            if self._server_pipe:
-                self._server_pipe.pipe.close()  # so that the server sees when the worker ends
+            if self._gpu_pipe:
+                self._gpu_pipe.pipe.close()  # so that the threads see when the worker ends
 
-    def send_job(self, packed: bytes) -> None:
-        """Send a pickled :class:`Job`, to which all further tasks belong.
+    def send(self, task: Any, job: bytes = b"") -> None:
+        """Send a task, whose data must be small.
 
-        The call waits until the worker has read the job, so no task may be pending.
+        Args:
+            task: The task.
+            job: Pickled :class:`Job` to which this and all further tasks belong; empty if it was
+                sent with an earlier task. The call waits until the worker has read the job, so no
+                task may be pending.
         """
-        assert not self.pending
-        self._send(_JOB)
-        with suppress(OSError):  # it has died, which receive() reports
-            self.pipe.send_bytes(packed)
-
-    def send_task(self, task: Any) -> None:
-        """Send a task of the most recently sent job; its data must be small."""
+        assert not (job and self.pending)
         self.pending.append(task)
-        self._send(_Task(task))
-
-    def _send(self, message: Any) -> None:
         with suppress(OSError):  # the worker has died, which receive() reports
-            self.pipe.send(message)
+            self.pipe.send((bool(job), task))
+            if job:
+                self.pipe.send_bytes(job)
 
     def receive(self) -> list[tuple[Any, Any]]:
         """Return the tasks that were answered since the last call, with their answers.
@@ -190,17 +180,48 @@ class Worker:
 
 
 class WorkerProcess:
-    """The worker process that a job is opened in, with its connections.
+    """The worker process, with its connections and the job that it works on.
 
     Args:
         pipe: Connection to the parent.
-        server_pipe: Connection to the device server; None if this process computes itself.
+        gpu_pipe: Connection to the threads with GPUs; None if this process computes itself.
     """
 
-    def __init__(self, pipe: Any, server_pipe: ServerPipe | None) -> None:
-        self._pipe, self._server_pipe = pipe, server_pipe
+    def __init__(self, pipe: Any, gpu_pipe: GpuPipe | None) -> None:
+        self._pipe, self._gpu_pipe = pipe, gpu_pipe
         self._next_report = 0.0
         self._shared: SharedDevice | None = None
+        self._job = b""
+        """Pickled job that is not open yet."""
+        self._perform: Callable[[Any], Any] | None = None
+        self._context = ExitStack()
+
+    def run(self) -> None:
+        """Perform tasks until the parent closes its end of the connection."""
+        with suppress(EOFError, OSError):
+            self.report_progress()
+            while True:
+                with_job, task = self._pipe.recv()
+                if with_job:
+                    self._context.close()
+                    self._job, self._perform = self._pipe.recv_bytes(), None
+                self._pipe.send(_Answer(self._answer(task)))
+
+    def _answer(self, task: Any) -> Any:
+        """Return the job's answer to a task, which opens the job if no earlier one could.
+
+        If anything fails, the answer is a :class:`Failure`.
+        """
+        try:
+            if self._perform is None:
+                job: Job = pickle.loads(self._job)
+                self._perform = self._context.enter_context(job.open(self))
+                self._job = b""  # an index of a log may be large
+            return self._perform(task)
+        except Exception as error:
+            known = isinstance(error, JaxdetError)
+            shown = error if known else WorkerError(f"{type(error).__name__}: {error}")
+            return Failure(shown, traceback.format_exc(), out_of_memory(error))
 
     def report_progress(self) -> None:
         """Report to the parent that the task makes progress, at most once per ``_ALIVE_S``."""
@@ -209,64 +230,27 @@ class WorkerProcess:
             self._next_report = now + _ALIVE_S
             self._pipe.send(_ALIVE)
 
-    def device(self, served: ServerConfig | None, config: Config, backend: BackendName) -> Device:
+    def device(self, served: Served | None, settings: RunSettings) -> Device:
         """Return the device that computes.
 
         Args:
-            served: Configuration of the device server; None if this process computes itself.
-            config: The method's parameters.
-            backend: Backend of this process.
+            served: What GPUs compute; None if this process computes itself.
+            settings: Settings of the run.
         """
         if served is None:
-            return OwnDevice(config, backend, ahead=0)
+            return OwnDevice(settings.config, settings.options.backend, ahead=0)
         if self._shared is None or self._shared.served != served:
-            assert self._server_pipe is not None
-            self._shared = SharedDevice(served, self._server_pipe)
+            assert self._gpu_pipe is not None
+            self._shared = SharedDevice(served, self._gpu_pipe)
         return self._shared
 
 
-class _OpenJob:
-    """A job in a worker. Its first task opens it; if that fails, so does the task."""
-
-    def __init__(self, packed: bytes, process: WorkerProcess) -> None:
-        self._packed, self._process = packed, process
-        self._function: Callable[[Any], Any] | None = None
-        self._context = ExitStack()
-
-    def answer(self, task: Any) -> Any:
-        """Return the job's answer to a task, or a :class:`Failure`."""
-        try:
-            if self._function is None:
-                job: Job = pickle.loads(self._packed)
-                self._function = self._context.enter_context(job.open(self._process))
-                self._packed = b""  # an index of a log may be large
-            return self._function(task)
-        except Exception as error:
-            known = isinstance(error, JaxdetError)
-            shown = error if known else WorkerError(f"{type(error).__name__}: {error}")
-            return Failure(shown, traceback.format_exc(), out_of_memory(error))
-
-    def close(self) -> None:
-        """Leave the job's context."""
-        self._context.close()
-
-
-def _run_worker(backend: BackendName, pipe: Any, server_pipe: ServerPipe | None) -> None:
+def _run_worker(backend: BackendName, pipe: Any, gpu_pipe: GpuPipe | None) -> None:
     """Perform tasks until the parent ends this process, or ends."""
     ignore_stops()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _prepare(backend, reads_only=server_pipe is not None)
-    process = WorkerProcess(pipe, server_pipe)
-    job = _OpenJob(b"", process)
-    with suppress(EOFError, OSError):
-        process.report_progress()
-        while True:
-            message = pipe.recv()
-            if isinstance(message, _Task):
-                pipe.send(_Answer(job.answer(message.task)))
-            else:
-                job.close()
-                job = _OpenJob(pipe.recv_bytes(), process)
+    _prepare(backend, reads_only=gpu_pipe is not None)
+    WorkerProcess(pipe, gpu_pipe).run()
 
 
 def _end_with_parent() -> None:

@@ -14,7 +14,7 @@ from jaxdet.eval.tally import Case, Tally
 MIN_IOU = 0.5
 """Minimum IoU of the boxes of an object and its detection."""
 NEAR_M = 0.08
-"""Maximum depth of an object's near surface behind its nearest points [m]."""
+"""Extent in depth of an object's near surface, from the object's nearest points on [m]."""
 
 
 class BoxLabels(NamedTuple):
@@ -33,7 +33,7 @@ class BoxLabels(NamedTuple):
 def evaluate_boxes(
     labels: BoxLabels, required: np.ndarray, found: np.ndarray, distance_m: np.ndarray
 ) -> Tally:
-    """Evaluate the detections of a frame.
+    """Count the correct, missed and false detections of a frame.
 
     Unmatched detections are ignored if they are outside of the image, or if at least half of their
     box is in an ignored region.
@@ -136,8 +136,8 @@ def match_boxes(boxes: np.ndarray, found: np.ndarray, least_iou: float) -> np.nd
 def near_surface(z_m: np.ndarray) -> float:
     """Return the depth of an object's near surface from the depths of its pixels ``(n,)`` [m].
 
-    The result is the median of the depths at most ``NEAR_M`` behind their 5th percentile, NaN for
-    an object without pixels.
+    The result is the median of the depths up to ``NEAR_M`` beyond the 5th percentile, NaN for an
+    object without pixels.
 
     Example:
         >>> near_surface(np.array([1.0, 1.0, 1.02, 1.5, 1.5]))

@@ -21,8 +21,8 @@ def floor_positions(
     Args:
         depth_m: True z ``(B, H, W)`` [m].
         drivable: Drivable pixels ``(B, H, W)`` bool, see :class:`jaxdet.eval.FrameTruth`.
-        calibration: Calibration of the log; without a colour camera if lengths refer to that
-            camera.
+        calibration: Calibration of the log. In the preset ``paper``, whose lengths refer to the
+            colour camera, a calibration of this camera only.
         T_world_camera: Exact poses ``(B, 4, 4)`` float64 of the colour camera; world z is up.
 
     Returns:
@@ -73,8 +73,7 @@ def claimed_floor(
 ) -> list[Tally]:
     """Count the pixels of drivable floor inside of any outline.
 
-    Obstacles higher than ``hanging_m`` above the floor are excluded if there is a scene with
-    heights.
+    Obstacles higher than ``hanging_m`` above the floor are excluded if the detections have heights.
 
     Args:
         detections: Detections of ``B`` frames.

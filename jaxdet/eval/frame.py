@@ -53,12 +53,12 @@ def evaluate_frames(
 
     Args:
         detections: Detections of ``B`` frames, from either backend or another method; with cells if
-            obstacles are made of surfaces. Their field ``c`` is used, with ``truth.ground_min``
-            also ``a b``, with ``truth.footprint`` also ``has_vertex``, and with
-            ``truth.nearest_floor_m`` contours or ``a b``.
-        truth: Ground truth of these frames.
-        calibration: Calibration of the log, to whose colour image the ground truth refers; only its
-            depth unit is used for points. None: millimetres.
+            obstacles are made of surfaces. Their obstacles need the field ``c``; also ``a`` and
+            ``b`` for ``truth.ground_min``, ``has_vertex`` for ``truth.footprint``, and contours, or
+            ``a`` and ``b``, for ``truth.nearest_floor_m``.
+        truth: Ground truth of these frames; it refers to the colour image.
+        calibration: Calibration of the log. If detections have points, only its depth unit is used;
+            None: millimetres.
         config: Evaluation parameters.
         valid: Mask ``(B,)`` bool, False for padding; None: all frames count.
         side: Side of a cell [depth pixel], see :func:`jaxdet.camera.cell_side`; None: detections
@@ -74,7 +74,9 @@ def evaluate_frames(
     frames = len(detections.num_obstacles)
     depth_unit = calibration.depth_unit if calibration else 0.001
     if frames != len(truth.obstacle_id):
-        raise ValueError(f"{frames} frames, but ground truth for {len(truth.obstacle_id)}")
+        raise ValueError(
+            f"{frames} frames of detections, but ground truth of {len(truth.obstacle_id)} frames"
+        )
     required = truth.required(config)
     has_distances = truth.nearest_floor_m is not None
     distances_m = distances(detections) * depth_unit if has_distances else None
@@ -130,7 +132,7 @@ def points_of(
         points, label = detections.points.features, detections.points.labels.labels[b]
         own = Features(*(np.asarray(part[b]) for part in points))
     elif detections.cells is None or calibration is None or side is None:
-        raise ValueError("needs points, or cells with calibration and side")
+        raise ValueError("detections need points, or cells together with calibration and side")
     else:
         own, label = cell_points(detections.cells, b, calibration, side), detections.cells.label[b]
     own, label = Features(*(np.ravel(part) for part in own)), np.ravel(label)

@@ -50,18 +50,19 @@ def silhouette(points: np.ndarray, labels: np.ndarray) -> float:
 def davies_bouldin(points: np.ndarray, labels: np.ndarray) -> float:
     """Compute the Davies-Bouldin index, the paper's DB.
 
-    With ``S_i`` the mean distance of cluster i's points to their mean ``c_i`` it is the mean over
-    i of ``max_j (S_i + S_j) / |c_i - c_j|``. Davies and Bouldin, IEEE Transactions on Pattern
-    Analysis and Machine Intelligence 1 (1979), 224-227. Equals
-    ``sklearn.metrics.davies_bouldin_score`` on the labelled points.
+    The index is the mean over clusters i of ``max_j (S_i + S_j) / |c_i - c_j|``, where ``c_i`` is
+    the mean of the points of cluster i, and ``S_i`` their mean distance from it. Davies and
+    Bouldin, IEEE Transactions on Pattern Analysis and Machine Intelligence 1 (1979), 224-227.
+    Equals ``sklearn.metrics.davies_bouldin_score`` on the labelled points.
 
     Args:
         points: Points ``(n, d)``.
         labels: Labels ``(n,)`` integer, negative = noise, excluded.
 
     Returns:
-        At least 0, smaller is better, not bounded by 1 as the paper says; infinite if two clusters
-        of non-zero extent have the same mean; NaN with fewer than two clusters.
+        At least 0; smaller is better. Unlike the paper states, values above 1 are possible. The
+        index is infinite if two clusters of non-zero extent have the same mean, and NaN with fewer
+        than two clusters.
 
     Example:
         >>> davies_bouldin(np.array([[0.0], [2.0], [8.0], [16.0]]), np.array([0, 0, 1, 1])) * 11

@@ -87,7 +87,7 @@ def _of_list(data: list[Mapping[str, Any]]) -> dict[tuple[str, int], BoxLabels]:
 
 
 def _key(entry: Mapping[str, Any], name: str, where: str) -> tuple[str, int]:
-    """Return the frame to which an entry belongs."""
+    """Return the frame to which an entry belongs, as a key of :func:`read_labels`."""
     for key in ("frame", "stamp_ns"):
         if key in entry:
             return key, int(entry[key])

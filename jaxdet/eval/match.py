@@ -9,9 +9,9 @@ def feature_objects(
 ) -> np.ndarray:
     """Return the object that each feature votes for.
 
-    It is the object in the feature's pixel, or the nearest one within ``tolerance`` (a square),
-    since corners of a contour may be next to the object. Obstacles take priority over walls, and
-    walls over floor.
+    A feature votes for the object in its pixel, or for the nearest one within ``tolerance`` (a
+    square), since corners of a contour may be next to the object. Obstacles take priority over
+    walls, and walls over floor.
 
     Args:
         obstacle_id: Object numbers ``(H, W)`` integer.
@@ -38,7 +38,7 @@ def measured_objects(
     slack_m: np.ndarray,
     tolerance: int,
 ) -> np.ndarray:
-    """Return the object next to each feature whose true depth equals the measured depth.
+    """Return, for each feature, a neighbouring object at the depth measured in the feature's pixel.
 
     Stereo matching dilates foreground objects, so a background pixel may have the depth of the
     obstacle next to it. The object is that of the nearest pixel within ``tolerance`` (a square)

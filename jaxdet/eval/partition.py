@@ -50,8 +50,8 @@ def _pairs(labels: np.ndarray) -> int:
 def fowlkes_mallows(counts: PairCounts) -> float:
     """Compute the Fowlkes-Mallows index ``both / sqrt(detected true)``.
 
-    It is the geometric mean of the pairs' precision and recall; 1 is full agreement. Fowlkes and
-    Mallows, Journal of the American Statistical Association 78 (1983), 553-569. Equals
+    The index is the geometric mean of the pairs' precision and recall; 1 is full agreement. Fowlkes
+    and Mallows, Journal of the American Statistical Association 78 (1983), 553-569. Equals
     ``sklearn.metrics.fowlkes_mallows_score`` if each noise point has a label of its own.
 
     Args:

@@ -6,7 +6,7 @@ import numpy as np
 def area(polygon: np.ndarray) -> float:
     """Compute the area ``Σ (x_i y_{i+1} - x_{i+1} y_i) / 2`` of a polygon ``(n, 2)``.
 
-    It is positive for counter-clockwise order.
+    The area is positive if the points are in counter-clockwise order.
 
     Example:
         >>> area(np.array([[0, 0], [2, 0], [2, 3], [0, 3]]))

@@ -27,8 +27,8 @@ class Score(NamedTuple):
     without them the value can only be lower."""
     point_accuracy: float
     """ACC of the clustering literature: fraction of points with the correct label, after one-to-one
-    matching of labels and obstacles. For points on the floor or without an object, no label is
-    correct."""
+    matching of labels and obstacles. Points on the floor or without an object are correct if they
+    have no label."""
     fmi: float
     """Mean over frames of the Fowlkes-Mallows index of points, see
     :func:`jaxdet.eval.partition.fowlkes_mallows`."""
@@ -54,8 +54,9 @@ class Score(NamedTuple):
     obstacle_kept: float
     """Fraction of obstacle pixels above the step height kept by the ground stage."""
     free_claimed: float
-    """Fraction of the pixels of drivable floor, in range and measured as floor, inside any outline
-    except those of hanging obstacles; see :func:`jaxdet.eval.claimed_floor`."""
+    """Fraction of drivable floor pixels inside an outline. Only pixels in range and measured as
+    floor count, and outlines of hanging obstacles are ignored; see
+    :func:`jaxdet.eval.claimed_floor`."""
     free_claimed_worst: float
     """``free_claimed`` in the worst frame."""
     nearest_error_m: float
@@ -75,6 +76,7 @@ class Score(NamedTuple):
     iou: float
     """Median intersection over union of rectangles and true footprints."""
     tally: Tally
+    """Counts from which the metrics are computed."""
 
     def to_dict(self) -> dict[str, float]:
         """Return all metrics and counts by name."""

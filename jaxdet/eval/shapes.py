@@ -15,7 +15,10 @@ NEAR_STEP_M = 0.01
 
 
 class Shapes:
-    """Outlines of a frame in metres; None if the ground truth lacks them."""
+    """Detected and true distances, widths and outlines of a frame [m].
+
+    Fields that the ground truth lacks are None.
+    """
 
     def __init__(
         self,

@@ -14,6 +14,7 @@ class Case(NamedTuple):
     distance_m: float
     """True distance of the obstacle's nearest face, forward in the ground frame [m]."""
     found: bool
+    """Whether a detection is matched to the obstacle."""
     position_error_m: float
     """Forward coordinate of point C of the detection minus ``distance_m`` [m]."""
     width_error_m: float
@@ -30,11 +31,13 @@ class Tally(NamedTuple):
     """Counts, summed over frames, batches and logs."""
 
     frames: int = 0
+    """Number of frames."""
     visible: int = 0
     """Required obstacles, counted per frame."""
     found: int = 0
     """True positives: required obstacles matched to a detection."""
     detections: int = 0
+    """Number of detections."""
     matched: int = 0
     """Detections matched to an obstacle, required or not."""
     false: int = 0
@@ -48,7 +51,7 @@ class Tally(NamedTuple):
     splits: int = 0
     """False positives that could match an obstacle which is matched by a better detection."""
     merges: int = 0
-    """Additional obstacles covered by the same detection."""
+    """Obstacles merged by detections: the first obstacle in each detection does not count."""
     points: int = 0
     """Kept points that are not on a wall."""
     points_right: int = 0
@@ -65,9 +68,11 @@ class Tally(NamedTuple):
     fmi_frames: int = 0
     """Frames with a Fowlkes-Mallows index."""
     silhouette_sum: float = 0.0
+    """Sum of the frames' silhouette coefficients."""
     davies_bouldin_sum: float = 0.0
+    """Sum of the frames' Davies-Bouldin indices."""
     index_frames: int = 0
-    """Frames with at least two detections, which have internal indices."""
+    """Frames with both of these indices, that is with at least two detections."""
     near_points: int = 0
     """Points on the visible side of the footprints of found obstacles."""
     near_covered: int = 0
@@ -77,14 +82,19 @@ class Tally(NamedTuple):
     near_safe: int = 0
     """Points of ``near_asked`` in any rectangle."""
     floor_pixels: int = 0
+    """Pixels that show floor, see :func:`keep_shares`."""
     floor_pixels_kept: int = 0
+    """Pixels of ``floor_pixels`` that the ground stage keeps."""
     obstacle_pixels: int = 0
+    """Pixels that show obstacles above the step height, see :func:`keep_shares`."""
     obstacle_pixels_kept: int = 0
+    """Pixels of ``obstacle_pixels`` that the ground stage keeps."""
     drivable_pixels: int = 0
     """Pixels of drivable floor that are in range and measured as floor."""
     drivable_claimed: int = 0
     """Pixels of ``drivable_pixels`` inside an outline."""
     cases: tuple[Case, ...] = ()
+    """Required obstacles, one case per frame."""
     claims: tuple[float, ...] = ()
     """Fraction of ``drivable_pixels`` inside an outline, for each frame with enough pixels."""
 

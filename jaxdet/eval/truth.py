@@ -24,17 +24,19 @@ class EvalConfig:
     min_visible_pixels: int = 400
     """Minimum number of visible colour pixels of a required obstacle."""
     tolerance_px: int = 2
-    """Maximum distance of features from their object, along rows and columns [pixel]."""
+    """Maximum distance from an object at which a feature counts for it, along rows and columns
+    [pixel]."""
     smear_px: int = 4
-    """Maximum distance of pixels with an object's depth from the object, along rows and columns, if
-    the true depth is known [pixel]."""
+    """Maximum distance from an object at which a pixel with the object's depth counts for it, along
+    rows and columns [pixel]; used if the true depth is known."""
     depth_slack_m: float = 0.05
     """Tolerance of a measured depth [m]."""
     depth_slack_per_m2: float = 0.01
     """Increase of the tolerance in proportion to z squared [1/m], about four standard deviations of
     a D435."""
     merge_share: float = 0.2
-    """Minimum fraction of a detection's votes that an object must have to be part of it."""
+    """Minimum fraction of a detection's votes that an object must have to count as merged into the
+    detection."""
     match_share: float = 0.5
     """Minimum fraction of a detection's votes that an obstacle must have to be matched to it."""
     step_height_m: float = 0.05
@@ -64,16 +66,16 @@ class FrameTruth(NamedTuple):
     """Ground truth of ``B`` frames with ``J`` objects; object ``j`` has the number ``j + 1``.
 
     If an optional field is None, the metrics that depend on it are NaN. Extents of an object that
-    is not visible are NaN. The ground frame is that of the camera to which lengths refer: right,
-    forward [m].
+    is not visible are NaN. The ground frame (right, forward) is that of the camera to which lengths
+    in the detections refer.
     """
 
     obstacle_id: np.ndarray
     """Object number in each colour pixel, ``(B, H, W)`` integer, 0 = floor or nothing."""
     visible_pixels: np.ndarray
-    """Number of colour pixels that show the object, ``(B, J)`` integer."""
+    """Number of colour pixels that show each object, ``(B, J)`` integer."""
     nearest_m: np.ndarray
-    """Minimum z of the object's visible surface in the colour camera, ``(B, J)`` float [m]."""
+    """Minimum z of each object's visible surface in the colour camera, ``(B, J)`` float [m]."""
     nearest_forward_m: np.ndarray
     """Distance of the object's nearest face: minimum forward coordinate of its visible surface in
     the ground frame, ``(B, J)`` float [m]."""
@@ -81,9 +83,9 @@ class FrameTruth(NamedTuple):
     """Whether the object is a wall, ``(J,)`` bool; walls are not required, and detections on them
     are ignored."""
     ground_min: np.ndarray | None = None
-    """Minimum right and forward coordinates of the visible surface, ``(B, J, 2)`` float [m]."""
+    """Minimum coordinates (right, forward) of each visible surface, ``(B, J, 2)`` float [m]."""
     ground_max: np.ndarray | None = None
-    """Maximum right and forward coordinates of the visible surface, ``(B, J, 2)`` float [m]."""
+    """Maximum coordinates (right, forward) of each visible surface, ``(B, J, 2)`` float [m]."""
     footprint: np.ndarray | None = None
     """Outline on the floor in the ground frame, ``(B, J, V, 2)`` float [m], NaN after the last
     point."""
@@ -101,8 +103,8 @@ class FrameTruth(NamedTuple):
     def required(self, config: EvalConfig) -> np.ndarray:
         """Return which objects are required, ``(B, J)`` bool.
 
-        They are not walls, show at least ``min_visible_pixels``, have their nearest visible point
-        in the depth range, and are higher than the step.
+        A required object is not a wall, shows at least ``min_visible_pixels``, has its nearest
+        visible point in the depth range, and is higher than the step.
         """
         seen = ~self.is_wall & (self.visible_pixels >= config.min_visible_pixels)
         seen &= (self.nearest_m >= config.min_depth_m) & (self.nearest_m <= config.max_depth_m)
@@ -221,7 +223,7 @@ def in_depth_camera(
 
 
 def depth_poses(T_world_color: np.ndarray, calibration: Calibration) -> np.ndarray:
-    """Return the poses ``(B, 4, 4)`` of the depth camera from those of the colour camera."""
+    """Compute the poses ``(B, 4, 4)`` of the depth camera from those of the colour camera."""
     motion = calibration.color_from_depth
     return T_world_color if motion is None else T_world_color @ motion.T
 
@@ -252,8 +254,8 @@ def nearest_on_floor(
 
     Args:
         truth: Ground truth with ``depth_m``.
-        calibration: Calibration of the log; without a colour camera if lengths refer to that
-            camera.
+        calibration: Calibration of the log. In the preset ``paper``, whose lengths refer to the
+            colour camera, a calibration of this camera only.
         height_m: True height of the colour camera above the floor, ``(B,)`` [m].
         pitch_rad: True pitch of the colour camera, ``(B,)`` [rad].
         roll_rad: True roll of the colour camera, ``(B,)`` [rad].

@@ -2,7 +2,8 @@
 
 A module ``NAME`` has a function ``export(results, output, recordings)``, which writes the new file
 or folder ``output`` and may raise a :class:`jaxdet.errors.JaxdetError`. ``recordings`` are the logs
-passed with ``--log``, by their names in the results. It returns a line for each omission, or None.
+passed with ``--log``, by their names in the results. ``export`` returns a list with a line for each
+omission, or None.
 """
 
 import shlex
@@ -28,7 +29,7 @@ class Format(NamedTuple):
     writes: str
     """Contents of the output."""
     shown_by: str
-    """Instruction to open it; ``{}`` is the output, quoted in a shell command."""
+    """Instruction to open the output; ``{}`` is its path, quoted in a shell command."""
     of_logs: str = ""
     """Contents that ``--log`` adds; empty if logs are not used."""
     extra: str = ""

@@ -26,10 +26,10 @@ CATEGORY = {"id": 1, "name": "obstacle", "supercategory": "obstacle"}
 def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -> list[str]:
     """Write a folder with ``images/`` and ``annotations.json``.
 
-    Images are the colour images, or depth images in false colours for frames without colour, with
-    boxes and masks. Frames without a result are omitted; ``info`` in ``annotations.json`` counts
-    them and the depth images. A log that was not passed and can't be read at its original path is
-    omitted, with a line in ``info``.
+    Images are the colour images, or depth images in false colours for frames without colour.
+    Annotations are the boxes and masks of obstacles. Frames without a result are omitted; ``info``
+    in ``annotations.json`` has their number and that of the depth images. A log that was not passed
+    and can't be read at its original path is omitted, with a line in ``info``.
 
     Masks are computed again from the logs; it is an error if the obstacles differ from the results.
     If ``jaxdet track`` was run, annotations have a ``track_id``, which may be null.
@@ -44,7 +44,7 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
 
     Raises:
         ConfigError: The results are from the preset ``paper``, which has no masks.
-        InputError: A passed log is not that of the results, or no log can be read.
+        InputError: A passed log is not the one in the results, or no log can be read.
     """
     if results.method.cluster.points:
         raise ConfigError(

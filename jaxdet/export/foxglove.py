@@ -1,8 +1,8 @@
 """Scenes for Foxglove: an MCAP file to open together with each log, and layouts.
 
-Obstacles are in the frame of the camera to which lengths refer, the map is in the world frame, and
-a transform adds the floor frame of the camera (x right, y forward, z up). Each message replaces the
-previous one, so that seeking works.
+Obstacles are in the optical frame of the depth camera (of the colour camera in the preset
+``paper``), the map is in the world frame, and a transform adds the floor frame of the camera (x
+right, y forward, z up). Each message replaces the previous one, so that seeking works.
 """
 
 import json
@@ -109,7 +109,7 @@ def _write_layout(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _write_log(writer: Writer, results: Results, log: ResultLog) -> str:
-    """Write the messages; return the frame that the view follows: the world or the floor frame."""
+    """Write the messages of a log; return the frame that the view follows, world or floor frame."""
     follow = ""
     for sequence, entry in enumerate(sidecar_frames(results, log)):
         frame, at = entry.frame, entry.log_time_ns
@@ -127,7 +127,7 @@ def _write_log(writer: Writer, results: Results, log: ResultLog) -> str:
 
 
 def tf_message(stamp_ns: int, transforms: Sequence[Transform]) -> FrameTransforms:
-    """Return the transforms of a frame."""
+    """Return transforms as a message, with the timestamp of a depth image."""
     stamp = _stamp(stamp_ns)
     return FrameTransforms(
         transforms=[
@@ -144,7 +144,7 @@ def tf_message(stamp_ns: int, transforms: Sequence[Transform]) -> FrameTransform
 
 
 def scene(frame: Frame) -> SceneUpdate:
-    """Return the obstacles of a frame, which replace those of the previous frame."""
+    """Return the obstacles and trajectories of a frame; they replace those of earlier frames."""
     stamp = _stamp(frame.row["stamp_ns"])
     gone = SceneEntityDeletion(timestamp=stamp, type=SceneEntityDeletion.ALL)
     T = T_camera_floor(frame.row)
@@ -190,13 +190,14 @@ def _trajectory(row: Row, track: Mover) -> SceneEntity:
         type=LinePrimitive.LINE_STRIP,
         thickness=2.0,
         scale_invariant=True,
-        points=_points(track.path[-PATH_POINTS:] - track.path[-1], 0.0),  # drawn in float32
+        # relative to the last point, as the viewer draws in float32
+        points=_points(track.path[-PATH_POINTS:] - track.path[-1], 0.0),
         color=color,
     )
     return SceneEntity(
         timestamp=_stamp(row["stamp_ns"]),
         frame_id=name,
-        id=f"way of track {track.track}",
+        id=f"trajectory of track {track.track}",
         metadata=[KeyValuePair(key="speed_mps", value=f"{speed:.6g}")],
         arrows=[arrow],
         lines=[line],
@@ -317,7 +318,7 @@ def grid_message(grid: Grid, row: Row) -> GridMessage:
 def layout(cameras: Sequence[tuple[ResultLog, str]]) -> dict[str, Any]:
     """Return a layout with the scene of a log next to the image of its first camera.
 
-    The image is the colour image, or the depth image without one.
+    The image is the colour image, or the depth image if there is no colour.
 
     Args:
         cameras: Cameras of the log, each with the frame that the view follows.

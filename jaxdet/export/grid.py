@@ -50,7 +50,8 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
     first = np.rint(np.array(counted.origin) / counted.cell_m).astype(np.int64)
     odds = np.zeros(counted.counts.shape, np.int16)
     most_floor = tracking(log.folder).most_floor if results.tracked(log) else 1.0
-    # Frame counts of floor, outlines and contours per cell; floor counts after the first outline.
+    # Number of frames in which each cell is floor (counted from its first outline on), inside an
+    # outline, and on a contour.
     sightings = np.zeros((3, *counted.counts.shape), np.int32)
     seen_floor = np.zeros(counted.counts.shape, bool)
     for frame in _frames(results, log, most_floor, known):
@@ -78,7 +79,7 @@ def last_grid(results: Results, log: ResultLog, known: KnownPlaces | None = None
 
 
 def _groups_with(lasting: np.ndarray, occupied: np.ndarray) -> np.ndarray:
-    """Return the occupied cells of connected groups that contain a lasting cell, bool."""
+    """Return a mask of the occupied cells in connected groups that contain a lasting cell."""
     count, labels = cv2.connectedComponents(occupied.astype(np.uint8), connectivity=8)
     group = labels.astype(np.int32)
     has_one = np.zeros(count, bool)

@@ -35,7 +35,7 @@ def map_picture(image: MapImage) -> tuple[np.ndarray, float]:
 
 
 def _largest(cells: np.ndarray, side: int) -> np.ndarray:
-    """Return the maximum of each ``side`` × ``side`` cells."""
+    """Return the maximum of each block of ``side`` × ``side`` cells."""
     rows, columns = (-(-n // side) * side for n in cells.shape)
     whole = np.zeros((rows, columns), cells.dtype)
     whole[: cells.shape[0], : cells.shape[1]] = cells

@@ -93,7 +93,8 @@ def merged(known: Grid, new: Grid, seen: Grid | None = None) -> Grid:
         states[here] = np.where(found == FREE, FREE, states[here])
     here, found = _sampled(grid, new)
     states[here] = np.where(found == OCCUPIED, OCCUPIED, states[here])
-    x, y = np.floor(added + shift).astype(np.int64).T  # for map cells larger than those of the grid
+    # Sampling misses obstacles if the map's cells are larger than the grid's.
+    x, y = np.floor(added + shift).astype(np.int64).T
     states[y, x] = OCCUPIED
     return grid
 
@@ -113,7 +114,7 @@ def _extended(known: Grid, places: np.ndarray) -> tuple[Grid, np.ndarray]:
 
 
 def _sampled(grid: Grid, other: Grid) -> tuple[tuple[slice, slice], np.ndarray]:
-    """Return the part of a grid that another grid covers, and the other's states at its cells."""
+    """Return the part of a grid that another grid covers, and the other's states in that part."""
     rows, columns = other.states.shape
     ring = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float64)
     places = grid.places(other.world(ring))

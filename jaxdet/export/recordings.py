@@ -1,4 +1,4 @@
-"""Logs of results, read again for formats with images or points."""
+"""Logs of results, read again for exports with images or points."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -8,13 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxdet.engine import Planes, decide_planes, start_up
-from jaxdet.engine.color import method_frames
+from jaxdet.engine.detected import color_to_read, detected
+from jaxdet.engine.device import OwnDevice
 from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
 from jaxdet.io import Batch, Log, LogFiles, LogOptions, find_logs, open_log
-from jaxdet.pipeline import detect
 from jaxdet.results.manifest import fingerprint
 from jaxdet.results.reading import MOST_NAMED, ResultLog, Results
-from jaxdet.results.rows import to_host
 from jaxdet.results.tables import Tables
 from jaxdet.types import Detections
 
@@ -59,7 +58,7 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
         name = _by_content(results, log)
         if name is None or name in found:
             some = ", ".join(sorted(names)[:MOST_NAMED]) or "none"
-            problem = f"the results have no log {log.name!r}, but {some}"
+            problem = f"the results have no log {log.name!r}; their logs are {some}"
             remedy = "logs are identified by name, else by content"
             raise InputError(problem, path=str(results.folder), remedy=remedy)
         found[name] = log
@@ -67,7 +66,7 @@ def find(results: Results, given: Sequence[str]) -> dict[str, LogFiles]:
 
 
 def _best(given: Sequence[str], names: Collection[str]) -> list[LogFiles]:
-    """Find the logs, with joined or separate splits, whichever match the names in the results."""
+    """Find logs; splits of a recording are joined unless the results have separate logs of them."""
     if not given:
         return []
     logs = find_logs(given)
@@ -115,8 +114,8 @@ def images(
     wanted: np.ndarray | None = None,
     *,
     color: bool = False,
-) -> Iterator[tuple[Batch, Tables]]:
-    """Yield the frames of a log with their rows, :data:`BATCH` at a time, see :class:`Seen`.
+) -> Iterator[tuple[Tables, Batch]]:
+    """Yield rows of a log with their frames, :data:`BATCH` at a time, see :class:`Seen`.
 
     Args:
         results: Results of a run.
@@ -129,7 +128,7 @@ def images(
         InputError: The files are not this log, or are unreadable.
     """
     chunks = results.chunks(log, size=BATCH) if wanted is None else some(results, log, wanted)
-    waiting, paper = next(chunks, None), results.method.cluster.points
+    waiting, read = next(chunks, None), color_to_read(results.method, color)
     for options in open_modes(results, log):
         try:
             with _opened(log, files, options) as opened:
@@ -138,13 +137,11 @@ def images(
                     if numbers.max() >= opened.num_frames:
                         raise _other(log, files)
                     last = np.full(BATCH - len(numbers), numbers[-1])
-                    batch = opened.read(
-                        [*numbers.tolist(), *last.tolist()], color=color or paper, need_color=paper
-                    )
+                    batch = opened.read([*numbers.tolist(), *last.tolist()], **read)
                     stamps = batch.frames.stamp_ns[: len(numbers)]
                     if not np.array_equal(stamps, waiting.frames["stamp_ns"].to_numpy()):
                         raise _other(log, files)
-                    yield batch, waiting
+                    yield waiting, batch
                     waiting = next(chunks, None)
             return
         except RescanError:
@@ -175,18 +172,20 @@ def look_again(
         InputError: The files are not this log, or are unreadable.
     """
     start_up()
-    config = results.method
-    planes = _planes(results, log, files)
-    for batch, chunk in images(results, log, files, wanted, color=color):
-        frames = batch.frames._replace(plane=planes.of(batch.frames.stamp_ns))
-        detections = detect(method_frames(frames, config), config, with_cells=with_cells)
-        detections = to_host(detections)
-        good = frames.valid & detections.has_depth
+    planes, device = (
+        _planes(results, log, files),
+        OwnDevice(results.method, "jax", with_cells=with_cells),
+    )
+    batches = images(results, log, files, wanted, color=color)
+    for chunk, batch, found in detected(batches, planes, device):
+        detections = found.detections
+        assert detections
+        good = batch.frames.valid & detections.has_depth
         counts = np.where(good, detections.num_obstacles, 0)[: chunk.frames.num_rows]
         ok = chunk.frames["status"].to_numpy() == FrameStatus.OK
         if (counts != chunk.frames["num_obstacles"].to_numpy())[ok].any():
             raise _other(log, files)
-        yield Seen(batch._replace(frames=frames), detections, chunk)
+        yield Seen(batch, detections, chunk)
 
 
 def some(
@@ -222,7 +221,7 @@ def open_modes(results: Results, log: ResultLog) -> Iterator[LogOptions]:
 
 @contextmanager
 def _opened(log: ResultLog, files: LogFiles, options: LogOptions) -> Iterator[Log]:
-    """Open a log as in the run; without the topics of the run it is rejected as a different log."""
+    """Open a log as in the run; if it lacks the run's topics, it is rejected as a different log."""
     try:
         opened = open_log(files, options)
     except (TopicError, CalibrationError) as error:

@@ -71,10 +71,10 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
     Args:
         results: Results of a run.
         output: Folder to write.
-        recordings: Logs of the results by name, whose images, depth and points are added.
+        recordings: Logs of the results by name; their images, depth and points are added.
 
     Raises:
-        InputError: A passed log is not that of the results.
+        InputError: A passed log is not the one in the results.
     """
     output.mkdir()
     for log in results.logs:
@@ -99,7 +99,7 @@ def _has_color(log: ResultLog) -> bool:
 
 
 def _blueprint(images: Sequence[tuple[str, str]]) -> rrb.Blueprint:
-    """Return the layout of the viewer; ``images`` has names and entities."""
+    """Return the layout of the viewer; ``images`` has the name and the entity of each image."""
     flat = [rrb.Spatial2DView(origin=path, name=name) for name, path in images]
     series = [
         rrb.TimeSeriesView(origin="distance", name="Distance [m]"),
@@ -115,7 +115,7 @@ def _blueprint(images: Sequence[tuple[str, str]]) -> rrb.Blueprint:
 
 
 class _Recording:
-    """Recording of a log."""
+    """Writer of the recording of a log."""
 
     def __init__(self, stream: rr.RecordingStream, results: Results, log: ResultLog) -> None:
         self.stream, self.results, self.log = stream, results, log
@@ -234,7 +234,7 @@ class _Recording:
         log(DEPTH, rr.EncodedDepthImage(blob=depth, **how))
         if row["status"] == FrameStatus.OK and self._has_place(row):
             log(f"{CAMERA}/points", _points(seen.found, b, unit, frame.obstacles))
-        else:  # for instance without a result or a pose
+        else:  # the frame has no result or no place in the world
             log(f"{CAMERA}/points", rr.Clear(recursive=False))
 
 
@@ -255,7 +255,7 @@ def _in_world(results: Results, log: ResultLog) -> bool:
 
 
 def _is_placed(row: Mapping[str, Any]) -> bool:
-    """Return whether a frame's floor has a pose in the world, as in the tables."""
+    """Return whether floor and pose of a frame are known, so that it has a place in the world."""
     return row["camera_height_m"] is not None and T_world_upright(row) is not None
 
 
@@ -303,7 +303,7 @@ def _floor_in_world(row: Mapping[str, Any], T: np.ndarray) -> rr.Transform3D:
 
 
 def _camera_on_floor(row: Mapping[str, Any]) -> rr.Transform3D:
-    """Return the transform from the optical frame to the floor below it."""
+    """Return the transform from the optical frame to the floor frame below it."""
     T = np.linalg.inv(T_camera_floor(row))
     return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
@@ -326,7 +326,7 @@ def _boxes(row: Mapping[str, Any], obstacles: list[dict[str, Any]]) -> rr.Boxes3
 
 
 def _contours(obstacles: list[dict[str, Any]]) -> rr.LineStrips3D:
-    """Return the visible edges on the floor."""
+    """Return the visible edges of obstacles on the floor."""
     some = [one for one in obstacles if one["contour"]]
     lines = [contour(one) for one in some]
     strips = [np.column_stack([line, np.full(len(line), 0.01)]) for line in lines]
@@ -347,7 +347,7 @@ def _flat_boxes(obstacles: list[dict[str, Any]]) -> rr.Boxes2D:
 
 
 def _free(row: Mapping[str, Any]) -> rr.Mesh3D | rr.Clear:
-    """Return the free floor, as the polygons of the map."""
+    """Return the free floor as a mesh of the polygons that the map is made from."""
     points, corners, _ = free_floor(row).in_world(LEVEL[None])
     if not len(corners):
         return rr.Clear(recursive=False)
@@ -365,14 +365,14 @@ def _free(row: Mapping[str, Any]) -> rr.Mesh3D | rr.Clear:
 
 
 def _points(found: Detections, b: int, unit: float, obstacles: list[dict[str, Any]]) -> rr.Points3D:
-    """Return the points of obstacles in their colours."""
+    """Return the points of obstacles, coloured by obstacle or track."""
     xyz, label = obstacle_points(found, b, unit)
     number = np.array([number_of(one) for one in obstacles], np.int64)
     return rr.Points3D(xyz, colors=_colors(number[label]), radii=0.008)
 
 
 def _map(stream: rr.RecordingStream, image: MapImage, origin: np.ndarray, floor_z: float) -> None:
-    """Write the map just below the floor, and the path above it."""
+    """Write the map just below the floor, and the camera's path on the floor."""
     picture, cell_m = map_picture(image)
     height, width, _ = picture.shape
     seen = picture[..., 3:] > 0

@@ -53,8 +53,8 @@ def export(results: Results, output: Path, recordings: Mapping[str, LogFiles]) -
     Args:
         results: Results of a run.
         output: Folder.
-        recordings: Logs by name, whose clouds are the points of obstacles; the clouds of other logs
-            are the contour points at the bottom and the top of obstacles.
+        recordings: Logs of the results by name; their point clouds are the points of obstacles. The
+            point clouds of other logs are the contours at the bottom and the top of obstacles.
     """
     for log, path in sidecars(results, output):
         with Ros2LogWriter(path) as writer:
@@ -99,7 +99,7 @@ def frame_messages(frame: Frame, range_m: float) -> Iterator[tuple[str, dict[str
 def detections(frame: Frame) -> dict[str, Any]:
     """Return a ``vision_msgs/Detection3DArray``: outlines from bottom to top, in the camera frame.
 
-    ``id`` is the obstacle's track, or empty; its label if there are no tracks.
+    ``id`` is the obstacle's track, empty without one; if the log was not tracked, its label.
     """
     row = frame.row
     head, T = header(row["stamp_ns"], camera_name(row)), T_camera_floor(row)
@@ -119,7 +119,7 @@ def detections(frame: Frame) -> dict[str, Any]:
 
 
 def _contours(results: Results, log: ResultLog) -> Iterator[np.ndarray]:
-    """Yield per frame the contours, else outlines, at the bottom and the top of obstacles."""
+    """Yield the cloud of each frame: contours, else outlines, at bottom and top of obstacles."""
     for row, obstacles in results.frames(log, FRAME_COLUMNS):
         T, parts = T_camera_floor(row), [np.zeros(0, POINT)]
         for obstacle in obstacles:
@@ -132,7 +132,7 @@ def _contours(results: Results, log: ResultLog) -> Iterator[np.ndarray]:
 
 
 def _own_points(results: Results, log: ResultLog, files: LogFiles) -> Iterator[np.ndarray]:
-    """Yield per frame the points of its obstacles."""
+    """Yield the points of all obstacles of each frame."""
     for batch, found, chunk in look_again(results, log, files, with_cells=True):
         unit = batch.frames.calibration.depth_unit
         for i, count in enumerate(chunk.frames["num_obstacles"].to_pylist()):
@@ -147,7 +147,7 @@ def _cloud(points: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 
 def cloud_message(row: Row, cloud: np.ndarray) -> dict[str, Any]:
-    """Return a ``sensor_msgs/PointCloud2`` of :data:`POINT`."""
+    """Return a ``sensor_msgs/PointCloud2`` with points of type :data:`POINT`."""
     offsets = zip(POINT.names or (), POINT.descr, strict=True)
     fields = [
         {"name": name, "offset": 4 * i, "datatype": _DATATYPES[kind[1]], "count": 1}
@@ -167,11 +167,11 @@ def cloud_message(row: Row, cloud: np.ndarray) -> dict[str, Any]:
 
 
 def grid_message(grid: Grid, row: Row, frame_id: str | None = None) -> dict[str, Any]:
-    """Return a ``nav_msgs/OccupancyGrid`` with the timestamp of a row: 100, 0, or -1 (unknown).
+    """Return a ``nav_msgs/OccupancyGrid``; its cells are 100 (occupied), 0 (free), -1 (unknown).
 
     Args:
         grid: Grid.
-        row: Row of the frame.
+        row: Row of the frame that has the timestamp.
         frame_id: TF frame of the grid; by default the world frame.
     """
     head = header(row["stamp_ns"], frame_id or row["world_frame"] or "")

@@ -33,7 +33,7 @@ class Scan(NamedTuple):
 
 
 def scan(row: Row) -> Scan | None:
-    """Return the scan of a frame; None if the floor is unknown or has no free floor.
+    """Return the scan of a frame; None if the floor is unknown or no free floor was computed.
 
     Args:
         row: Row of the frame with :data:`SCAN_COLUMNS`.

@@ -37,7 +37,7 @@ def topic(log: ResultLog, name: str) -> str:
 
 
 def camera_name(row: Row) -> str:
-    """Return the frame of the camera to which lengths refer; ``camera`` if the log names none."""
+    """Return the optical frame in which obstacles are; ``camera`` if the log does not name it."""
     return row["camera_frame"] or "camera"
 
 
@@ -85,7 +85,7 @@ def quaternion(T: np.ndarray) -> list[float]:
 
 
 def corners(obstacle: Row) -> np.ndarray:
-    """Return the outline in the floor frame, ``(4, 2)`` float64 [m], in either order."""
+    """Return the outline's corners in the floor frame, ``(4, 2)`` float64 [m], in either order."""
     return np.reshape(obstacle["corners_ground"], (4, 2)).astype(np.float64)
 
 

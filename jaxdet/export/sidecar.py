@@ -1,7 +1,7 @@
 """Sidecar files, opened or played together with a log.
 
-Messages have the header timestamps of the log's depth images, and the log times of these, so that
-both files share a timeline regardless of the camera's clock.
+Messages have the header timestamps and the log times of the log's depth images, so that both files
+share a timeline regardless of the camera's clock.
 """
 
 from collections.abc import Iterator
@@ -29,9 +29,9 @@ class SidecarFrame(NamedTuple):
     """A frame in a sidecar."""
 
     frame: Frame
-    """Rows of the frame. If ``transforms`` has the pose of the camera, its frame is renamed to
-    ``CAMERA_FRAME_jaxdet``, since a TF frame has one parent, and the log has that of the camera's
-    own frame."""
+    """Rows of the frame. If ``transforms`` has the pose of the camera, the camera's TF frame is
+    renamed to ``CAMERA_FRAME_jaxdet``: a TF frame can have only one parent, and the frame of the
+    original name has one in the log."""
     log_time_ns: int
     """Log time of its messages [ns]."""
     transforms: tuple[Transform, ...]
@@ -50,7 +50,7 @@ def sidecars(results: Results, folder: Path) -> Iterator[tuple[ResultLog, Path]]
 def sidecar_frames(
     results: Results, log: ResultLog, columns: tuple[str, ...] = ()
 ) -> Iterator[SidecarFrame]:
-    """Yield the frames of a log, with additional columns."""
+    """Yield the frames of a log, with these additional columns of the frame table."""
     for number, frame in enumerate(results.frames(log, (*FRAME_COLUMNS, *columns))):
         grid = None if number else last_grid(results, log)
         named = frame.row["world_frame"] and not log.poses_from_tf

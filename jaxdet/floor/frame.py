@@ -27,7 +27,7 @@ def floor_frames(plane: GroundPlane, depth_unit: float) -> np.ndarray:
     ``(-sin r sin p, -cos r sin p, cos p)`` and down ``(sin r cos p, cos r cos p, sin p)``.
 
     Args:
-        plane: ``B`` planes; a level camera is assumed if one is unknown.
+        plane: ``B`` planes; if a plane is unknown, a level camera is assumed.
         depth_unit: Metres per depth unit.
 
     Returns:
@@ -79,7 +79,7 @@ def axes(pitch: np.ndarray, roll: np.ndarray) -> list[np.ndarray | int]:
 def on_floor(frame: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Project points onto the floor, and compute their height above it.
 
-    A ramp raises the floor by its slope times the distance of a point beyond its start.
+    A ramp raises the floor by its slope times the distance of a point beyond the ramp's start.
 
     Args:
         frame: Floor frame ``(FLOOR_VALUES,)`` int32, from :func:`floor_frames`.

@@ -15,6 +15,7 @@ from jaxdet.floor.plane import flat_plane, plane_from_down, plane_from_transform
 from jaxdet.types import GroundPlane, is_rigid
 
 HIGHEST_M = 20.0
+"""Upper bound of the camera height [m]."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,8 @@ class Mount:
         """
         T = numbers("T_base_camera", T_base_camera, np.float64)
         if T.shape != (4, 4) or not is_rigid(T):
-            problem = f"got shape {T.shape}" if T.shape != (4, 4) else "not a rigid transform"
+            shaped = T.shape == (4, 4)
+            problem = "not a rigid transform" if shaped else f"expected (4, 4), got {T.shape}"
             remedy = "pass a (4, 4) matrix, in metres"
             raise InputError(problem, topic="T_base_camera", remedy=remedy)
         return cls._of(plane_from_transform(T))

@@ -216,10 +216,10 @@ class StepHeight(NamedTuple):
     """
 
     table: np.ndarray
-    """First term of the step, indexed by z [depth units], ``(65536,)`` int64 [depth units],
+    """First term of the step height, indexed by z [depth units], ``(65536,)`` int64 [depth units],
     read-only."""
     noise: int
-    """``noise_per_m / s`` for a depth unit, with ``NOISE_BITS`` fraction bits, below 2^31."""
+    """Factor ``noise_per_m / s`` [1/depth unit], with ``NOISE_BITS`` fraction bits, below 2^31."""
 
     def at(self, z: np.ndarray, height: int) -> np.ndarray:
         """Return the step height of cells at depths z, for this camera height [depth units]."""
@@ -227,10 +227,11 @@ class StepHeight(NamedTuple):
         return np.maximum(self.table[z], z * min(slope, STEEPEST_NOISE) >> SLOPE_BITS)
 
 
-NOISE_BITS = 34
+NOISE_BITS = 34  # fraction bits of a noise factor
 SLOPE_BITS = 14  # fraction bits of a slope, rise over run
 STEEPEST_NOISE = 32767
-"""Maximum growth of noise with depth, ``SLOPE_BITS`` fraction bits, for 32-bit products."""
+"""Maximum increase of the step height with depth, ``SLOPE_BITS`` fraction bits, so that products
+fit in 32 bits."""
 
 
 @lru_cache(maxsize=16)
@@ -264,13 +265,13 @@ def quadratic_table(constant_m: float, per_m: float, depth_unit: float) -> np.nd
 
 
 def band_table(config: FootprintConfig, depth_unit: float) -> np.ndarray:
-    """Tabulate the depth of the bands whose medians are the points A and B, and C.
+    """Tabulate the widths of the bands from which the points A, B and C of outlines are computed.
 
-    The depths are ``s z`` and ``c z^2``, rounded to depth units.
+    They are ``side_band_per_m z`` for A and B and ``near_band_per_m2 z^2`` for C, where z is the
+    distance of the obstacle's nearest point.
 
     Returns:
-        Depths by the distance z of the obstacle's nearest point in depth units, ``(65536, 2)``
-        int32 [depth units], read-only.
+        Widths of both bands by z in depth units, ``(65536, 2)`` int32 [depth units], read-only.
     """
     z = np.arange(65536) * depth_unit
     bands = np.stack([config.side_band_per_m * z, config.near_band_per_m2 * z * z], axis=1)
@@ -298,7 +299,7 @@ def direction_table() -> np.ndarray:
 def forward_vector(down: np.ndarray) -> np.ndarray:
     """Project the optical axis onto the floor, in the camera optical frame.
 
-    For a camera that looks straight down it is the image's up direction.
+    For a camera that looks straight down, the result is the image's up direction.
 
     Args:
         down: Unit vectors ``(B, 3)`` float64.

@@ -8,9 +8,9 @@ from jaxdet.config import GroundConfig
 from jaxdet.elementary import arctangent, sin_cos
 from jaxdet.types import RAYS, Intrinsics
 
-UNITS = 16  # units of a bearing between neighbouring rays
-TURN = RAYS * UNITS  # a full turn
-RATIO_BITS = 12  # fraction bits of the ratio by which bearings are tabulated
+UNITS = 16  # bearing units between neighbouring rays
+TURN = RAYS * UNITS  # bearing units of a full turn
+RATIO_BITS = 12  # fraction bits of the tangents in bearing_table
 RAY_BITS = 13  # fraction bits of a direction
 TURN_BITS = 13  # fraction bits of the sine of a small turn
 TILE = 4  # rows of cells in a tile
@@ -53,7 +53,7 @@ def tile_corners(rays: np.ndarray) -> np.ndarray:
 
 
 def block_settings(ground: GroundConfig, depth_unit: float) -> np.ndarray:
-    """Return the step height of a single pixel, as in ``StepHeight``.
+    """Return the coefficients of the step height of a single pixel, as in ``StepHeight``.
 
     Returns:
         Coefficients ``(3,)`` float32: constant [depth units], growth with depth, and growth with
@@ -65,7 +65,11 @@ def block_settings(ground: GroundConfig, depth_unit: float) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def bearing_table() -> np.ndarray:
-    """Tabulate angles up to an eighth of a turn by tangent, in bearing units."""
+    """Tabulate angles up to an eighth of a turn by their tangent.
+
+    Returns:
+        Angles [bearing units] for tangents from 0 to 1, ``(2**RATIO_BITS + 1,)`` int64, read-only.
+    """
     tangent = np.append((np.arange(1 << RATIO_BITS) + 0.5) / (1 << RATIO_BITS), 1.0)
     table = np.rint(arctangent(tangent) * (TURN / (2 * np.pi))).astype(np.int64)
     table.setflags(write=False)

@@ -9,9 +9,9 @@ from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.types import GroundPlane
 
 ENOUGH = 3
-"""Minimum number of sampled frames whose own floor was found, or all if there are fewer frames."""
+"""Minimum number of sampled frames whose own floor was found; if fewer are sampled, all of them."""
 AGREEING = 0.9
-"""Minimum fraction of floors near the median for a camera that is fixed to the robot."""
+"""Minimum fraction of floors that are near the median if the camera is fixed to the robot."""
 NEAR_M, NEAR_RAD = 0.03, float(np.radians(2.0))
 """Maximum deviation from the median in height [m], and in pitch and roll [rad]."""
 
@@ -32,12 +32,12 @@ class SampledFloor(NamedTuple):
 
     @property
     def agrees(self) -> bool:
-        """Whether the camera has a fixed pose on the robot."""
+        """Whether the floors agree, that is, whether the camera has a fixed pose on the robot."""
         near = self.height_spread_m <= NEAR_M and self.angle_spread_rad <= NEAR_RAD
         return bool(self.plane.valid[0]) and near
 
     def shown_by(self, share: float) -> bool:
-        """Return whether the floors agree, and enough frames, at least this share, show one."""
+        """Return whether the floors agree, and a sufficient fraction of the frames shows one."""
         return self.agrees and self.decided >= max(ENOUGH, share * self.looked_at)
 
 

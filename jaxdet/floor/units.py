@@ -21,38 +21,40 @@ SINES = np.rint(sin(_TURN) * (1 << SINE_BITS)).astype(np.int64)  # from -360 deg
 STEEPEST = 85 * ANGLES  # maximum pitch, up or down; beyond it roll is meaningless
 TOLERANCE_BITS = 26  # fraction bits of the terms of a tolerance that grow with depth
 ROUGH_M, FINE_M, FINE_PER_Z = 0.012, 0.008, 0.003
-"""Inlier tolerances: roughness during the search, and near a known plane [m]; bowing of floors and
-depth images per metre of depth."""
+"""Inlier tolerances: roughness of the floor during the search and near a known plane [m], and
+bowing of floors and depth images per metre of depth."""
 SHARP_M, SHARP_PER_Z = 0.005, 0.0015
-"""Roughness [m] and bowing in the last steps, so that a book on a table has no influence."""
+"""Inlier tolerances in the last steps of the search: roughness [m], and bowing per metre of depth.
+They are small, so that a book on a table has no influence."""
 PROFILE_M = 0.02  # roughness on the first lattice of ramps, and beyond a step [m]
 ROUGH_DEG = 0.5  # error of direction that a rough tolerance covers
-LEVER_M = 0.008  # unit of distances on the floor, so that their squares fit
-HEIGHTS_M = (0.05, 3.0)  # minimum and maximum height of a robot's or a hand-held camera
-STEP_DEG = 3  # first spacing of directions without a prior; the next one is a degree
-BIN_M = 0.008  # spacing of heights, a power of two of the depth unit
+LEVER_M = 0.008  # unit of distances on the floor, so that their squares fit in integers [m]
+HEIGHTS_M = (0.05, 3.0)  # minimum and maximum height of a robot's or a hand-held camera [m]
+STEP_DEG = 3  # first spacing of directions without a prior [degree]; the next one is a degree
+BIN_M = 0.008  # spacing of heights [m], rounded to a power of two depth units
 NEAR_M, STEEP_M = 0.10, 0.20
 """Search range of a plane's height [m]: for a rocking robot and errors of the mount; and for frames
 that show only a ramp."""
 RINGS_M = (0.6, 0.8, 1.1, 1.5, 2.0, 2.7)
 """Maximum distances of the cells used for the plane in front of a ramp [m]."""
-STARTS_M = np.arange(0.4, 3.5, 0.2)  # candidate distances at which a ramp begins
-FINE_START_M = 0.05  # spacing of the finer lattice
-DROP_SPACING_M = 0.04  # spacing of candidate steps
-ALIKE_M = 0.004  # planes whose heights differ by less are not both searched for steps
+STARTS_M = np.arange(0.4, 3.5, 0.2)  # candidate distances at which a ramp begins [m]
+FINE_START_M = 0.05  # spacing of these distances on the finer lattice [m]
+DROP_SPACING_M = 0.04  # spacing of candidate distances of a step [m]
+ALIKE_M = 0.004  # if the heights of planes differ by less, only one is searched for steps [m]
 RUN_M, RISE_M = 0.064, 0.004
-"""Size of a profile bin; both are rounded to powers of two of the depth unit."""
+"""Length and height of a bin of the profile [m], rounded to powers of two depth units."""
 FARTHEST_M, HIGHEST_M = 6.0, 1.3
-"""Maximum distance of the profile and its lower edge [m]; lower cells are counted at that edge."""
+"""Maximum distance of the profile, and maximum height above and below the plane [m]; lower cells
+are counted in the lowest bin."""
 RAMP_NEAR_M, SPREAD_M = 0.5, 0.4
 """Maximum distance from the start of a ramp at which it must be visible, and minimum length over
 which it must be visible [m]; the same holds for the floor beyond a step. The top or the face of an
 obstacle is visible only in one place."""
-RAMP_M = 3.6  # a plane far from the prior is a ramp if it crosses the prior nearer than this
+RAMP_M = 3.6  # maximum distance at which a ramp far from the prior crosses the prior [m]
 STEP_M, TABLE_M = 0.05, 0.10
-"""Height above a plane from which cells are obstacles, and depth below it from which cells show
-that it is not the floor [m]."""
-DEEP_M = 0.25  # the same below a plane that ends at a step, if there is no prior
+"""Height above a plane from which cells are obstacles, and depth below the plane from which cells
+show that the plane is not the floor [m]."""
+DEEP_M = 0.25  # TABLE_M for a plane that ends at a step, if there is no prior
 OVER_TABLE_M = 2.0
 """Maximum height of a camera above the floor on which a table stands; where the floor beyond a step
 is farther below the camera, the step is a drop and not the edge of a table."""
@@ -76,14 +78,14 @@ class Scale(NamedTuple):
     """Conversion of lengths and tolerances to depth units."""
 
     unit: float  # metres per depth unit
-    noise_per_m: float  # standard deviation of depth divided by its square [1/m]
+    noise_per_m: float  # standard deviation of depth divided by depth squared [1/m]
 
     def length(self, metres: float) -> int:
         """Return a length rounded to depth units, at least one."""
         return max(round(metres / self.unit), 1)
 
     def bits(self, metres: float) -> int:
-        """Return the exponent of the nearest power of two depth units."""
+        """Return the exponent of the power of two nearest to a length in depth units."""
         fraction, exponent = math.frexp(metres / self.unit)  # from 1/2 to 1
         return max(exponent - (fraction < math.sqrt(0.5)), 0)
 
@@ -98,7 +100,10 @@ class Scale(NamedTuple):
         return self.tolerance(ROUGH_M, float(np.radians(turn_deg)))
 
     def coarse(self, z: np.ndarray, step_deg: float) -> np.ndarray:
-        """Return the tolerance of votes for directions ``step_deg`` apart, any height, ``(K,)``."""
+        """Return the tolerance ``(K,)`` of votes for planes whose directions are a step apart.
+
+        The tolerance holds for planes of any height.
+        """
         tolerance = self.rough(step_deg / 2)
         return tolerance.of(z, 0) + ((z * z * tolerance.noise) >> TOLERANCE_BITS)
 
@@ -117,7 +122,7 @@ class FloorFit(NamedTuple):
     """Floor of each frame."""
 
     plane: GroundPlane
-    """Planes of ``B`` frames: the frame's own, or the prior if that was refused."""
+    """Planes of ``B`` frames: the frame's own floor, or the prior if the own floor was refused."""
     own: np.ndarray
     """Whether the frame's own depth determined the plane, ``(B,)`` bool."""
     share: np.ndarray

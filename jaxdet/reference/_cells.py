@@ -10,8 +10,8 @@ from jaxdet.reference._rounding import lateral, rounded
 from jaxdet.types import Calibration, Cells
 
 MARGIN = 8
-"""One in MARGIN columns on each side belongs to the margin of the image, where stereo depth is
-bent."""
+"""Each margin, left and right, has one in MARGIN of the image's columns. Stereo depth is bent
+there."""
 LEAST = 2
 """At least one in LEAST pixels of a cell must be measured."""
 
@@ -44,7 +44,7 @@ def cells(
 
 
 def margins(columns: int) -> np.ndarray:
-    """Return which columns are margins, one in ``MARGIN`` on each side, ``(columns,)`` bool."""
+    """Return whether each column is in a margin of the image, ``(columns,)`` bool."""
     column, width = np.arange(columns), columns // MARGIN
     return (column < width) | (column >= columns - width)
 

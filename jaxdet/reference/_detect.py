@@ -58,12 +58,12 @@ class Found(NamedTuple):
 
 
 class FreeFloor(NamedTuple):
-    """Free floor of ``B`` frames, and their obstacles including those in its notches."""
+    """Free floor of ``B`` frames, and their obstacles with those in notches of the free floor."""
 
     found: list[Found]
     first_notch: np.ndarray  # (B,) int32, number of the first obstacle found in a notch
-    free: np.ndarray  # (B, RAYS, 2) int32, from :func:`jaxdet.reference._rays.rays`
-    end: np.ndarray  # (B, RAYS) int32
+    free: np.ndarray  # (B, RAYS, 2) int32, start and end of the free floor on each ray
+    end: np.ndarray  # (B, RAYS) int32, kind of that end (:class:`jaxdet.types.FreeEnd`)
 
 
 def detect(
@@ -72,7 +72,7 @@ def detect(
     """Find floor, surfaces, obstacles, their outlines and the free floor of each frame.
 
     Only depth is read; the preset ``paper`` (``cluster.points``,
-    :func:`jaxdet.reference.paper._detect.clusters`) reads colour too.
+    :func:`jaxdet.reference.paper.detect`) reads colour too.
 
     Args:
         frames: ``B`` frames; their ``plane`` is not used.
@@ -80,6 +80,9 @@ def detect(
             frame's own depth if that shows enough floor.
         config: Configuration of the method.
         with_cells: Whether to return the labels of cells as well.
+
+    Returns:
+        Detections of the ``B`` frames, with at most ``MAX_OBSTACLES`` obstacles each.
     """
     if config.cluster.points:
         return paper.detect(frames, plane, config)
@@ -187,6 +190,10 @@ def _outlines(
         count: Number of obstacles of each frame, ``(B,)``.
         calibration: Calibration of the log.
         config: Configuration of the method.
+
+    Returns:
+        Obstacles; and for the scene their contours, the number of points of each contour, and the
+        lowest and the highest cell of each obstacle.
     """
     batch, unit, settings = len(found), calibration.depth_unit, config.footprint
     flat = [axis.reshape(batch, -1) for axis in grid]
@@ -228,7 +235,7 @@ def _free(
     calibration: Calibration,
     config: Config,
 ) -> FreeFloor:
-    """Compute the free floor of each frame.
+    """Compute the free floor of each frame, and add the obstacles in its notches.
 
     Args:
         found: Obstacles of ``B`` frames.

@@ -10,10 +10,11 @@ from jaxdet.reference._outlines import contours
 from jaxdet.reference._view import Extents, View, extents
 
 MOST_BETWEEN = 11
-"""Maximum number of runs of cells between two surfaces that are compared in a line."""
+"""Two surfaces in a row or column are compared if at most this many runs of cells are between."""
 # surfaces are viewed obliquely: depths may differ by a tenth of the distance between them
 SLOPE = 10
-# contours are close if at most this many gaps apart, even if the surfaces do not face each other
+# surfaces that do not face each other are pairs if their contours are at most this many times
+# ``depth_gap_m`` apart
 CONTACT = 2
 PERCENT = 100
 
@@ -21,8 +22,9 @@ PERCENT = 100
 class Facing(NamedTuple):
     """Statistics of surfaces that face each other in rows or in columns, each ``(S, S)`` int64.
 
-    Only the upper triangle is used. Two surfaces face each other where neither of them and at most
-    ``MOST_BETWEEN`` runs of cells lie between; this may occur several times in a line.
+    Only the upper triangle is used. Two surfaces face each other where at most ``MOST_BETWEEN``
+    runs of cells lie between, none of which belongs to one of them. This may occur several times in
+    a row or column.
     """
 
     places: np.ndarray  # number of places where two surfaces face each other
@@ -61,7 +63,7 @@ def pairs(
         free: Whether each cell is free, ``(R, C)`` bool: floor, or beyond the range.
         view: Positions of the cells.
         unit: Metres in one depth unit.
-        config: The gaps.
+        config: The maximum gaps.
     """
     extent, gap = extents(label, view), round(config.depth_gap_m / unit)
     rows = facing(label, free, view.z, view.x, gap)

@@ -37,7 +37,8 @@ from jaxdet.types import GroundPlane, Refusal
 
 MIN_CELLS = 50  # minimum number of cells for an estimate
 FAR_GAIN = 5
-"""Minimum gain of inliers of a plane far from the prior [percent of all cells]."""
+"""A plane far from the prior is tried as a ramp ahead of it if it has more inliers than the floor
+found near the prior, by more than this [percent of all cells]."""
 OBSTACLE = 95  # maximum fraction of obstacle cells [percent]
 UNDER = ((10, 2), (3, 8))
 """Limits ``(percent, inliers)`` with a prior, and without. A plane belongs to a table if more than
@@ -86,7 +87,8 @@ def find_floor(
             units].
         y: Position below the axis.
         z: Position along the axis, 0 = none; the cells are a regular grid over the image.
-        prior: ``B`` planes; not valid if there is no prior. Ramps are ignored.
+        prior: Prior plane of each frame; a plane that is not valid means no prior. Ramps of the
+            planes are ignored.
         config: Limits of corrections and reasons of refusal.
         depth_unit: Metres per depth unit.
 
@@ -126,7 +128,10 @@ def floor_of_cells(
 def _take(
     x: np.ndarray, y: np.ndarray, z: np.ndarray, config: FloorConfig, scale: Scale
 ) -> tuple[Sample, Sample]:
-    """Return the measured cells, and those of every second row and column."""
+    """Return the measured cells up to the maximum depth, and a fourth of them for the search.
+
+    The fourth is from every second row and column.
+    """
     x, y, z = (a.astype(np.int64) for a in (x, y, z))
     row, column = np.indices(z.shape)
     inner = np.broadcast_to(~margins(z.shape[1]), z.shape)

@@ -26,11 +26,12 @@ def find_ahead(
     Args:
         flat: Plane that is returned if there is no ramp or step.
         planes: Planes that may end in a ramp or a step.
-        cells: Cells, of which those inside the margins are used.
+        cells: Cells; those in the margins of the image are not used.
         scale: Depth unit.
-        farthest: Maximum height of the camera above its floor [depth units]. Beyond a step down the
-            floor must be lower; otherwise a wide, low object on the floor would be taken for the
-            floor before a step. None: no prior.
+        farthest: Maximum height of the camera above the floor on which it stands [depth units], or
+            None without a prior. Floor beyond a step down must be farther below the camera than
+            this; otherwise a wide, low object on the floor would be taken for the floor before a
+            step.
     """
     inner = cells.take(cells.inner)
     alone, ramps, steps, stepped = [], [], [], []

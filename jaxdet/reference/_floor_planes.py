@@ -29,14 +29,16 @@ BELOW_COST = 2  # votes that such a cell costs: nothing is visible through a flo
 TURN_BITS = 24
 """Maximum number of bits of the sums that the refinement multiplies, so that the sum of two
 products times an angle fits in 64 bits."""
-RIDGE = 14  # square of 3 cm in levers of 8 mm: a few centimetres of floor do not determine the tilt
+RIDGE = 14
+"""Ridge of the least squares per unit of weight, 3 cm squared in levers of 8 mm: floor that extends
+only over a few centimetres must not determine the tilt."""
 
 
 class Sample(NamedTuple):
     """Measured cells, at most some thousands."""
 
     xyz: np.ndarray  # (K, 3) int64, camera optical frame [depth units]
-    inner: np.ndarray  # (K,) bool, inside the left and right margins of the image
+    inner: np.ndarray  # (K,) bool, between the left and the right margin of the image
 
     @property
     def z(self) -> np.ndarray:
@@ -94,7 +96,7 @@ def score(below: np.ndarray, slack: np.ndarray) -> np.ndarray:
 def refined(
     plane: Plane, cells: Sample, rounds: tuple[int, int, int], prior: Plane | None, scale: Scale
 ) -> Plane:
-    """Apply :func:`refine` with a rough, a fine and a sharp tolerance."""
+    """Apply :func:`refine` with a rough, a fine and a sharp tolerance, each for some ``rounds``."""
     for slack, count in zip((scale.rough(ROUGH_DEG), scale.fine, scale.sharp), rounds, strict=True):
         plane = refine(plane, cells, slack, count, prior, scale.bits(LEVER_M))
     return plane
@@ -107,16 +109,18 @@ def refine(
 
     Let ``e`` be the distance of a cell below the plane, ``t`` its distance forward and ``s`` to the
     right, each minus its mean. The rotations a, b that minimise ``sum w (e + a t + b s)^2`` solve
-    two equations by Cramer's rule. ``RIDGE`` is added to both squares, so that a rotation that the
-    cells do not determine is that to the prior, or zero. The sums are exact in 64 bits and shifted
-    to ``TURN_BITS`` before they are multiplied, so all products are exact too.
+    two equations by Cramer's rule. ``RIDGE`` is added to the sums of ``t^2`` and ``s^2``, so that a
+    rotation that the cells do not determine leads to the prior or, without a prior, is zero. The
+    sums are exact in 64 bits and shifted to ``TURN_BITS`` before they are multiplied, so all
+    products are exact too.
 
     Args:
         plane: Initial plane; it is returned unchanged if fewer than 20 cells are near, or if all
             near cells have weight zero.
         cells: ``K`` cells.
         slack: Tolerance; cells within one and a half times the tolerance are used. Their weight is
-            its inverse square times Tukey's biweight, so that the feet of walls have little weight.
+            the inverse square of the tolerance times Tukey's biweight, so that the feet of walls
+            have little weight.
         rounds: Number of rounds.
         prior: Prior of the angles, or None.
         lever_bits: Exponent of the unit of ``t`` and ``s``, ``2**lever_bits`` depth units.

@@ -37,7 +37,7 @@ def rises(starts: np.ndarray, turns: np.ndarray, run: np.ndarray) -> np.ndarray:
 class Profile(NamedTuple):
     """Cumulative counts of cells over height, by distance forward of the camera."""
 
-    counts: np.ndarray  # (T, rises + 1) int64
+    counts: np.ndarray  # (T, rises + 1) int64, number of cells below each edge of the height bins
     run: np.ndarray  # (T,) int64, centres of the distance bins [depth units]
     bits: int  # height bins are 2**bits depth units high
 
@@ -75,7 +75,7 @@ def profile(plane: Plane, cells: Sample, scale: Scale) -> Profile:
 
 
 def spread(run: np.ndarray, counts: np.ndarray) -> tuple[int, int]:
-    """Return the distances of the nearest and the farthest cell, without a tenth at each end.
+    """Return the range of distances without the nearest and the farthest tenth of the cells.
 
     Args:
         run: Distances in ascending order, ``(T,)`` [depth units].

@@ -19,8 +19,8 @@ from jaxdet.reference._floor_profile import Ahead, Profile, rises, spread
 
 LEAST_TURN, MOST_TURN = 3 * ANGLES, 12 * ANGLES
 TURNS = np.arange(LEAST_TURN, MOST_TURN + 1, ANGLES // 2)
-"""Candidate slopes. Smaller slopes can't be distinguished from a wavy floor, and wheeled robots do
-not drive on steeper slopes."""
+"""Candidate slopes [angle steps]. Smaller slopes can't be distinguished from a wavy floor, and
+wheeled robots do not drive on steeper slopes."""
 FINE_TURN = ANGLES // 4  # spacing of the fine lattice
 MIN_SHARE = 40
 """Minimum fraction of cells that only the ramp explains, among the cells near the floor where ramp
@@ -61,8 +61,8 @@ def _best(
 def crossing(level: Plane, steep: Plane) -> Ahead | None:
     """Return a steeper plane as a ramp ahead of a level plane; None if it is not a ramp.
 
-    Along the level floor the plane rises by ``a + b t``: b is the tangent of their difference in
-    pitch, a the difference of their heights along the level floor's normal.
+    At distance t along the level plane, the steeper one is ``a + b t`` above it: b is the tangent
+    of their difference in pitch, a the difference of their heights along the level plane's normal.
     """
     turn = steep.pitch - level.pitch
     if not LEAST_TURN <= abs(turn) <= MOST_TURN:
@@ -80,7 +80,7 @@ def ramp_plane(level: Plane, ramp: Ahead) -> Plane:
 
 
 def is_seen(seen: Profile, ramp: Ahead, slack: np.ndarray, unit: float) -> bool:
-    """Return whether the ramp is visible from near its start over some distance."""
+    """Return whether enough of the ramp is visible: cells that begin near its start and go on."""
     rise = rises(np.array(ramp.start), np.array(ramp.turn), seen.run)
     distinct = np.abs(rise) > slack
     # If the tolerances of ramp and plane overlap, a cell belongs to the plane.

@@ -32,14 +32,17 @@ ROLLED_DEG = 40  # maximum roll of a plane after refinement
 FILLS_DEG, FILLS = 35, 12
 """Increase of the minimum inlier fraction per degree of pitch beyond ``FILLS_DEG`` [per mille]: the
 more a camera is pitched, the more floor it sees."""
-WINNERS = 6  # number of the best planes, which are refined
-APART = 12  # planes of neighbouring directions within this many bins are the same
+WINNERS = 6  # number of planes that are refined, those with the most votes
+APART = 12
+"""Planes of neighbouring directions whose heights differ by at most this many bins are the same."""
 NEAR_DEG, STEEP_DEG = 4, 8
-"""Search range around a guess: the first in pitch and roll; the second in pitch, for one steep
-plane."""
+"""Search range to both sides of a guess: ``NEAR_DEG`` in pitch and roll, and for one steep plane
+``STEEP_DEG`` in pitch."""
 LEAST = np.iinfo(np.int64).min  # fewer votes than any plane has
-RINGS = len(RINGS_M) + 1  # planes are also searched among the cells up to each ring
-MIN_SHARE = 3  # minimum fraction of the cells up to such a ring [percent of all]
+RINGS = len(RINGS_M) + 1  # number of rings, which divide the cells by depth
+MIN_SHARE = 3
+"""Minimum fraction of the cells that are in a ring or nearer, for a search among only these cells
+[percent]."""
 
 
 def vote(
@@ -90,7 +93,7 @@ def peaks(votes: np.ndarray, count: int, reach: int) -> np.ndarray:
     """Find the best planes of a lattice of pitch, roll and height, by non-maximum suppression.
 
     Args:
-        votes: Votes ``(P, R, bins)``.
+        votes: Votes ``(P, R, bins)``, by pitch, roll and bin of height.
         count: Number of planes.
         reach: Planes of neighbouring directions whose heights differ by at most this many bins are
             the same.
@@ -130,7 +133,7 @@ class _Lattice:
         return votes.reshape(rings, len(self.pitch), len(self.roll), -1)
 
     def best(self, votes: np.ndarray, count: int) -> list[Plane]:
-        """Return the planes with the most votes ``(P, R, bins)``."""
+        """Return the ``count`` planes with the most ``votes``, ``(P, R, bins)``."""
         lowest, _, bits = self.heights
         return [
             Plane(int(self.pitch[i]), int(self.roll[j]), lowest + (k << bits))

@@ -24,7 +24,7 @@ def best_step(
         seen: Profile above a plane.
         coarse: Tolerance of the floor beyond the step at each distance, ``(T,)`` [depth units].
         fine: Tolerance of the plane at each distance, ``(T,)`` [depth units].
-        deeper: Depth that a step down must exceed [depth units].
+        deeper: Height that a step down must exceed [depth units].
         unit: Metres per depth unit.
 
     Returns:

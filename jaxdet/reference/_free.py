@@ -6,10 +6,11 @@ import numpy as np
 
 from jaxdet.types import FreeEnd
 
-RUN = 3  # consecutive measured cells, all lower than the last floor by a drop, that make a drop
-
-NEIGHBOURS = 14  # columns on each side of a drop, more than half of which must drop too
-SHARE = 5  # floor farther up must not be nearer than lower cells by more than one part in SHARE
+RUN = 3  # number of measured cells after the last floor cell that must be lower, at a drop
+NEIGHBOURS = 14  # columns on each side of a column; more than half of all these must drop
+SHARE = 5
+"""Cells are no drop if floor farther up the column is nearer than they are by more than 1/SHARE of
+their distance."""
 
 
 class FloorView(NamedTuple):
@@ -61,11 +62,11 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
     ``longest_gap`` farther and no obstacle of the column is nearer. It is ended by
 
     - a drop, if the next ``RUN`` measured cells are all lower than the last floor cell by more than
-      the minimum of a drop and lie flat, and if no floor continues at its level. Stereo cameras bow
-      far floor down too, but gradually. Reflections in a glossy floor are below it too, but they
-      stand upright, or floor continues beyond them and is nearer than they seem to be, since
-      nothing is visible through a floor. Reflections are also narrow, so more than half of a column
-      and its ``NEIGHBOURS`` columns on each side must drop;
+      the minimum height of a drop and lie flat, and if no floor continues at its level. Stereo
+      cameras bow far floor down too, but gradually. Reflections in a glossy floor are below it too,
+      but they stand upright, or floor continues beyond them and is nearer than they seem to be,
+      since nothing is visible through a floor. Reflections are also narrow, so of a column and its
+      ``NEIGHBOURS`` columns on each side, more than half must drop;
     - an obstacle, if the nearest one of the column is at most ``longest_gap`` farther;
     - the end of the range, if that is at most ``longest_gap`` farther;
     - otherwise for an unknown reason.
@@ -77,9 +78,9 @@ def free_floor(view: FloorView, far: int, longest_gap: int) -> tuple[np.ndarray,
 
     Returns:
         Start and end of the floor, ``(C, 2, 2)`` int32, right and forward in the ground frame
-        [depth units], and the kind of its end, ``(C,)`` int32 (:class:`jaxdet.types.FreeEnd`). Both
-        points are that of the nearest obstacle if no floor but only an obstacle is visible, and 0
-        if nothing is visible. Distances are compared forward.
+        [depth units], and the kind of its end, ``(C,)`` int32 (:class:`jaxdet.types.FreeEnd`). If
+        only an obstacle is visible and no floor, both points are on the nearest obstacle; if
+        nothing is visible, they are 0. All distances are components forward.
     """
     columns = view.label.shape[1]
     line, end = np.zeros((columns, 2, 2), np.int32), np.zeros(columns, np.int32)

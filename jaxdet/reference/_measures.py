@@ -20,11 +20,12 @@ def footprint_on_floor(
 
     Args:
         features: Points ``(B, N)``.
-        labels: Their obstacles.
-        floor: Right and forward ``(B, N, 2)`` integer, at most MAX_LATERAL [depth units].
+        labels: Obstacle of each point.
+        floor: Right and forward of each point, ``(B, N, 2)`` integer, at most MAX_LATERAL [depth
+            units].
         depth_unit: Metres in one depth unit.
         config: Trim, bands and threshold of the vertex.
-        slots: ``M``.
+        slots: ``M``, the maximum number of obstacles.
 
     Returns:
         Obstacles ``(B, M)`` in the order of their labels; direction and span are zero, nearest is

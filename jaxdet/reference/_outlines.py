@@ -7,7 +7,8 @@ import numpy as np
 from jaxdet.floor.plane import DIRECTION_BITS, direction_table
 
 LONG_TRIM = 20  # one in LONG_TRIM cells of a long obstacle is trimmed at each of its long sides
-FAR_BEHIND = 4  # factor of the bend that makes a corner where the contour jumps
+FAR_BEHIND = 4
+"""Where the contour jumps, a corner must be this many times ``bend`` behind the chord."""
 FAR = 1 << 40  # farther than any edge
 
 
@@ -79,7 +80,7 @@ def straight_parts(contour: np.ndarray, bend: int, shortest: int, jump: int) -> 
     near = _squared(np.diff(points, axis=0)) <= jump * jump
 
     def corner(first: int, last: int) -> int | None:
-        """Return the point at which to split ``first .. last``."""
+        """Return the point at which to split ``first .. last``, or None."""
         area, chord = _behind_chord(points[first : last + 1])
         at = first + int(np.argmax(area))
         smooth = near[max(at - 2, 0) : at + 2].all()
@@ -172,10 +173,10 @@ def _project(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def inner(at_margin: np.ndarray) -> np.ndarray:
-    """Return which cells of an obstacle are reliable: those inside the margins of the image.
+    """Return which cells of an obstacle are reliable: those outside the margins of the image.
 
     Stereo depth is bent toward the camera in the margins (:func:`jaxdet.reference._cells.margins`).
-    If more than half of the cells are in the margins, all are used.
+    If more than half of the cells are in the margins, all cells count as reliable.
 
     Args:
         at_margin: Whether each cell is in a margin, ``(n,)`` bool.

@@ -26,7 +26,7 @@ END_BITS = 2  # bits of the kind of end that is packed with a range
 MOST_WIDER = 8  # maximum ratio of a column's width at its end and at its neighbour's end
 NONE = np.iinfo(np.int32).max  # no range
 CORNER_BITS = 12  # fraction bits of the positions of tiles' corners, for their bearings
-# maximum width of a tile; a wider one may contain the foot and covers all sectors
+# maximum range of bearings of a tile; a wider tile may contain the foot, and blocks all rays
 WIDEST = TURN // 4
 RAMP_START, RAMP_SLOPE = 11, 12  # indices of a floor frame
 F32 = np.float32
@@ -54,9 +54,9 @@ def rays(
     ends and the far ends of neighbouring columns that show floor; a ray extends as far as it stays
     inside the polygon, but not beyond anything measured above the step height.
 
-    A column extends halfway to its neighbours; between two columns, floor extends to the end of the
-    shorter one as far as that one is wide. Next to a column without floor, a column is half a cell
-    wide.
+    A column extends sideways halfway to its neighbours, so the floor between two columns ends with
+    the shorter one on that column's half, and with the longer one on the other half. Next to a
+    column without floor, a column extends by half a cell.
 
     Args:
         line: Start and end of the floor in each column, ``(C, 2, 2)`` int32, from
@@ -67,8 +67,8 @@ def rays(
 
     Returns:
         Ranges at which free floor begins and ends, ``(RAYS, 2)`` int32 [depth units], and the kind
-        of its end, ``(RAYS,)`` int32 (:class:`jaxdet.types.FreeEnd`). Both ranges are those of the
-        nearest obstacle if no floor but only an obstacle is visible, and 0 if nothing is visible.
+        of its end, ``(RAYS,)`` int32 (:class:`jaxdet.types.FreeEnd`). If no floor but an obstacle
+        is visible, both ranges are that of the nearest obstacle; if nothing is visible, they are 0.
     """
     near, far = line.astype(np.int64).transpose(1, 0, 2)
     alone = (near == far).all(axis=1) & (end == FreeEnd.OBSTACLE)

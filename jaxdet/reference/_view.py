@@ -24,13 +24,14 @@ class Extents(NamedTuple):
     cells: np.ndarray
     rows: np.ndarray  # number of rows from the first to the last
     columns: np.ndarray
-    left: np.ndarray  # smallest right, without a twentieth of the cells, as silhouettes are smeared
-    right: np.ndarray  # largest right, trimmed like left
-    near: np.ndarray  # smallest forward, trimmed
-    far: np.ndarray  # largest forward, trimmed
+    # smallest ``View.right`` after a twentieth of the cells is trimmed, as silhouettes are smeared
+    left: np.ndarray
+    right: np.ndarray  # largest ``View.right``, trimmed
+    near: np.ndarray  # smallest ``View.forward``, trimmed
+    far: np.ndarray  # largest ``View.forward``, trimmed
     bottom: np.ndarray  # smallest height above the floor
-    top: np.ndarray
-    nearest: np.ndarray  # smallest z
+    top: np.ndarray  # largest height above the floor
+    nearest: np.ndarray  # smallest ``View.z``
 
     @property
     def width(self) -> np.ndarray:

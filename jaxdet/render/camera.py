@@ -52,8 +52,8 @@ class Chip(NamedTuple):
 def shown_image(frames: Frames, row: int, config: Config) -> Shown:
     """Return the background image of a frame.
 
-    It is the colour image if there is one and it is calibrated, else the depth image in false
-    colours, with near pixels warm and unmeasured ones black.
+    This is the colour image if a calibrated one exists, else the depth image in false colours, with
+    near pixels warm and unmeasured ones black.
 
     Args:
         frames: Batch.
@@ -155,7 +155,7 @@ def _draw_cells(
     side: int,
     scale: float,
 ) -> None:
-    """Tint the cells of each obstacle in its colour, and cells without one white."""
+    """Tint the cells of each obstacle in its colour, and cells without an obstacle white."""
     label, z = found.label[row], found.cells.z[row]
     label = np.where(found.keep[row] & (label < 0), LOOSE_LABEL, label)
     marked = found.cells._replace(z=np.where(label < 0, 0, z)[None])

@@ -57,7 +57,7 @@ def canvas(height: int, width: int, color: Color = BACKGROUND) -> np.ndarray:
 
 
 def fixed(points: np.ndarray) -> np.ndarray:
-    """Convert pixels to the fixed-point integers of OpenCV's drawing functions."""
+    """Convert pixel coordinates to the fixed-point integers of OpenCV's drawing functions."""
     clipped = np.clip(np.asarray(points, np.float64), -30000, 30000)
     return np.rint(clipped * (1 << SHIFT)).astype(np.int32)
 
@@ -70,7 +70,7 @@ def line(image: np.ndarray, points: np.ndarray, color: Color, width: int = 1) ->
 def polygon(
     image: np.ndarray, points: np.ndarray, color: Color, fill: float = 0.0, width: int = 2
 ) -> None:
-    """Draw a convex outline through ``points`` ``(P, 2)`` [pixel], filled with an opacity."""
+    """Draw a convex outline through points ``(P, 2)`` [pixel], its area with opacity ``fill``."""
     if fill > 0:
         part, first = _part(image, points, 1)
         layer = part.copy()

@@ -19,7 +19,9 @@ class View(NamedTuple):
     """Transform from the ground frame to pixels."""
 
     center: float
+    """Column of the camera [pixel]."""
     bottom: float
+    """Row of the camera [pixel]."""
     scale: float
     """Pixels per metre."""
 
@@ -171,7 +173,10 @@ def _draw_contours(
 
 
 def _ray_places(scene: Scene, row: int) -> np.ndarray:
-    """Return start and end of the free floor per ray, ``(RAYS, 2, 2)``, right, forward [units]."""
+    """Return start and end of the free floor of each ray (right, forward) [depth units].
+
+    The shape is ``(RAYS, 2, 2)``.
+    """
     _, way = ray_bearings()
     return (
         np.asarray(scene.free[row])[..., None] * np.stack([np.real(way), np.imag(way)], -1)[:, None]
@@ -179,7 +184,7 @@ def _ray_places(scene: Scene, row: int) -> np.ndarray:
 
 
 def _draw_free(image: np.ndarray, view: View, scene: Scene, row: int, unit: float) -> None:
-    """Draw the free floor between neighbouring rays, as far as both have some."""
+    """Draw the free floor between neighbouring rays that both have free floor."""
     rows = slice(row, row + 1)
     free = free_floor(scene.free[rows], scene.free_end[rows], unit).in_world(_AHEAD)
     rings = np.split(view.pixels(free.points), np.cumsum(free.corners))[:-1]

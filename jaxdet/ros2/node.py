@@ -63,7 +63,7 @@ def ros(module: str) -> Any:
     """Import a module of ROS 2.
 
     Raises:
-        ConfigError: It is not found, or was built for another version of Python.
+        ConfigError: The module is not found, or was built for another version of Python.
     """
     try:
         return import_module(module)
@@ -82,7 +82,10 @@ def message_class(name: str) -> Any:
 
 
 def _publisher(node: Any, topic: str, type_name: str, qos: Any) -> Publish:
-    """Return a function that publishes a message, through the bytes that an export would write."""
+    """Return a function that publishes a message.
+
+    The fields are encoded as in an export, and ROS 2 decodes these bytes.
+    """
     kind, decode = message_class(type_name), ros("rclpy.serialization").deserialize_message
     publisher = node.create_publisher(kind, topic, qos)
     return lambda message: publisher.publish(decode(encode_cdr(type_name, message), kind))
@@ -91,9 +94,9 @@ def _publisher(node: Any, topic: str, type_name: str, qos: Any) -> Publish:
 class ObstacleNode:
     """Publishes the obstacles in the depth images of a camera, as ROS 2 messages.
 
-    It subscribes to ``depth`` and ``camera_info``, and publishes ``~/detections``, ``~/scan``,
-    ``~/local_map`` and the floor frame of the camera on ``/tf``. These are the messages of
-    ``jaxdet export --to ros2``, with the timestamp of the image. Images that arrive during a
+    The node subscribes to ``depth`` and ``camera_info``, and publishes ``~/detections``,
+    ``~/scan``, ``~/local_map`` and the floor frame of the camera on ``/tf``. The messages are those
+    of ``jaxdet export --to ros2``, with the timestamp of the image. Images that arrive during a
     detection are dropped, except the newest. If an image can't be used, nothing is published, and a
     warning gives the reason.
 
@@ -145,7 +148,7 @@ class ObstacleNode:
     def _subscribe(self) -> Any:
         """Subscribe to both topics, and return the synchronizer of their messages."""
         filters, qos = ros("message_filters"), ros("rclpy.qos")
-        # The profile of sensor data with a queue of one: the newest image, not the oldest of five.
+        # The profile of sensor data, but with a queue of one, so that the newest image is next.
         newest = qos.QoSProfile(depth=1, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
         kinds = message_class("sensor_msgs/Image"), message_class("sensor_msgs/CameraInfo")
         subscribers = [
@@ -204,7 +207,7 @@ class ObstacleNode:
         """Return a depth image and its pixels, ``(H, W)`` uint16 in units of ``depth_unit_m``.
 
         Raises:
-            InputError: It is not a depth image, or its data do not fit its size.
+            InputError: The image is not a depth image, or its data do not fit its size.
         """
         with _about(self._depth_topic):
             depth = parse(Kind.IMAGE, image, "")
@@ -319,7 +322,7 @@ def _mount(settings: Mapping[str, Any]) -> Mount | None:
     """Return the mount in the parameters; None if it is not given.
 
     Raises:
-        ConfigError: It is invalid, incomplete or contradicts ``base_frame``.
+        ConfigError: The mount is invalid, incomplete or contradicts ``base_frame``.
     """
     height, *angles = (settings[f"camera_{name}"] for name in ("height_m", "pitch_rad", "roll_rad"))
     if not height:

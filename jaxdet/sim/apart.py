@@ -16,7 +16,8 @@ be detected as two obstacles."""
 _FARTHER_M = 0.05
 """Increase of the search radius per try [m]."""
 _LIMITS_M = (0.9, 4.4)
-"""Distances ahead that separate close, in-range and far objects [m]; objects stay in their band."""
+"""Distances ahead that separate close, in-range and far objects [m]; no object is moved from one of
+these ranges to another."""
 _EDGE_M = 0.3
 """Minimum distance from steps down [m]."""
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 Color = tuple[int, int, int]
-"""RGB, 0-255, sRGB."""
+"""Red, green and blue, 0 to 255, in sRGB."""
 Kind = Literal[
     "plain", "noise", "tiles", "wood", "stripes", "checker", "carton", "cloth", "bark", "brick",
     "lines", "asphalt", "grass", "mosaic",

@@ -11,10 +11,11 @@ from jaxdet.sim.stereo import DepthSensor
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 
 DEPTH_F, DEPTH_CX, DEPTH_CY = 384.5, 321.7, 236.8
-"""Depth camera of a RealSense at 640 x 480 [pixel]: factory calibration for 848 x 480 of the
-aims-slam recording, scaled to the same field of view."""
+"""Focal length and optical centre of a RealSense depth camera at 640 x 480 [pixel]: the factory
+calibration in the aims-slam recording, for 848 x 480, scaled to the same field of view."""
 COLOR_FX, COLOR_FY, COLOR_CX, COLOR_CY = 617.25, 617.549, 317.392, 245.980
-"""Colour camera of a D435 at 640 x 480 [pixel], from the ros_detect_planes_from_depth_img data."""
+"""Focal lengths and optical centre of a D435's colour camera at 640 x 480 [pixel], from the data
+set ros_detect_planes_from_depth_img."""
 DEPTH_TO_COLOR_M = (0.0148, 0.0002, 0.0003)
 """Translation from depth to colour camera [m]: 15 mm by the D400 series data sheet, plus fractions
 of a mm as in factory calibrations."""
@@ -47,7 +48,7 @@ class SimConfig:
     mount_tf: bool = True
     """Write the mount of the camera to TF; if off, the floor must be estimated."""
     extrinsics: Literal["tf", "topic", "both", "none"] = "both"
-    """Messages with the extrinsics from depth to colour camera."""
+    """Messages in which the extrinsics from depth to colour camera are recorded."""
     compression: Literal["zstd", "lz4", "none"] = "zstd"
     """Compression of the file's chunks."""
     camera_height_m: float = 0.30
@@ -63,7 +64,8 @@ class SimConfig:
     mount_height_error_m: float = 0.0
     """True mounting height minus the height in TF [m]."""
     rock_rad: float = 0.0
-    """Standard deviation of the true pitch and roll between frames, which TF lacks [rad]."""
+    """Standard deviation of random changes of pitch and roll in each frame [rad], which are not in
+    TF."""
     sensor: DepthSensor = field(default_factory=DepthSensor)
     """Errors of the depth camera."""
     depth_error: float = 0.0

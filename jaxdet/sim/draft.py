@@ -73,7 +73,7 @@ class Draft:
         self.cylinders.append(Cylinder((x, y), radius, height, texture, name="pole"))
 
     def add_object(self, kind: str, x: float, y: float) -> None:
-        """Place an object by name."""
+        """Place an object of a kind, given by its name."""
         if kind == "box":
             self.box(x, y)
         elif kind == "pole":

@@ -4,11 +4,12 @@
 2. The illuminance of a surface by ambient light and the lamp is ``E = lux ((1 - lamp) + lamp
    cos / cos_floor)``, with the cosines of the lamp's direction on the surface and on the level
    floor. Reflection is Lambertian; gloss adds a specular reflection of the lamp.
-3. The illuminance of the sensor is ``E_s = E rho T / (4 N^2)`` (Holst, "CMOS/CCD Sensors and Camera
-   Systems", equation for a distant extended source), reduced by vignetting.
-4. In the time t a pixel collects ``E_s t k`` electrons, ``k`` from the pixel area, the quantum
-   efficiency behind the colour filters and 4.1e15 photons / (s m2 lux): 1 W of light at 555 nm is
-   683 lm by definition of the candela.
+3. The illuminance of the sensor is ``E_s = E rho T / (4 N^2)``, with the reflectance rho, the
+   transmission T of the lens and its f-number N (Holst, "CMOS/CCD Sensors and Camera Systems",
+   equation for a distant extended source), reduced by vignetting.
+4. In the time t a pixel collects ``E_s t k`` electrons, where ``k`` is the product of the pixel
+   area, the quantum efficiency behind the colour filters and 4.1e15 photons / (s m2 lux): 1 W of
+   light at 555 nm is 683 lm by definition of the candela.
 5. Photon noise (Poisson, in its normal limit), read noise, full well and gain follow.
 6. Auto exposure brings the mean of the image to ``target``: first by the time, limited by the frame
    rate, then by the gain up to its limit. Beyond that the image darkens.
@@ -47,9 +48,10 @@ LIGHTS: dict[LightName, Illumination] = {
     "weaker": Illumination(120.0, 0.60, 0.06, 2),
     "dim": Illumination(50.0, 0.60, 0.06, 2),
 }
-"""The paper's four light levels. The paper gives no figures; we assume: sun through thin cloud
-(10-100 klx outdoors); an office (500 lx, EN 12464-1); a corridor (100 lx, EN 12464-1); a room at
-dusk or a street at night (5-50 lx, EN 13201 class C), with exposure and gain at their limits."""
+"""The paper's four light levels. The paper gives no figures; those assumed are, in this order: sun
+through thin cloud (10-100 klx outdoors); an office (500 lx, EN 12464-1); a corridor (100 lx, EN
+12464-1); a room at dusk or a street at night (5-50 lx, EN 13201 class C), with exposure and gain at
+their limits."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Parallel simulation of frames, each of which depends only on the seed and its number."""
+"""Parallel simulation of frames; a frame does not depend on the frames before it."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -32,6 +32,7 @@ class SimFrame(NamedTuple):
     stamp_ns: int
     """Timestamp of the colour image [ns]."""
     depth_stamp_ns: int
+    """Timestamp of the depth image [ns]."""
     color: np.ndarray
     """Colour image ``(H, W, 3)`` uint8, RGB."""
     depth: np.ndarray | None
@@ -43,9 +44,9 @@ class SimFrame(NamedTuple):
     T_world_base: np.ndarray
     """Exact pose of the robot (base_footprint) in the world, ``(4, 4)`` float64."""
     truth: Rendering
-    """Ideal image of the colour camera."""
+    """Image of the colour camera without sensor errors."""
     scene: Scene
-    """Scene."""
+    """Scene that the frame shows."""
     config: SimConfig
     """Parameters of the simulation."""
     time_s: float
@@ -55,7 +56,7 @@ class SimFrame(NamedTuple):
 
     @property
     def plane(self) -> GroundPlane:
-        """Floor according to the log's TF, ``B`` = 1, which ignores the errors of the mount."""
+        """Floor computed from the mount in the log's TF, which has errors; ``B`` = 1."""
         config = self.config
         mount = config.camera_height_m, config.camera_pitch_rad, config.camera_roll_rad
         return flat_plane(*mount)
@@ -129,7 +130,7 @@ def ideal_view(
     *,
     shadows: bool = True,
 ) -> Rendering:
-    """Render the ideal image of a camera at a time."""
+    """Render the image of a camera without sensor errors, ``time_s`` after the first frame [s]."""
     light = config.light if shadows else None
     return render(
         scene, camera, T_world_camera, seed=config.seed, time_s=time_s, light=light,
@@ -138,7 +139,7 @@ def ideal_view(
 
 
 def base_pose(scene: Scene, time_s: float) -> np.ndarray:
-    """Return ``T_world_base`` ``(4, 4)`` float64 on the ground, at a time since the first frame."""
+    """Return the robot's pose ``T_world_base``, ``(4, 4)`` float64, on the ground at a time [s]."""
     pose = pose_at(scene.path, time_s)
     return standing(scene.ground, pose.x, pose.y) @ pose.T
 
@@ -146,7 +147,7 @@ def base_pose(scene: Scene, time_s: float) -> np.ndarray:
 def _measure(
     view: Rendering, camera: Intrinsics, config: SimConfig, rng: np.random.Generator
 ) -> np.ndarray:
-    """Simulate the depth image; lighting is uniform for the infrared cameras."""
+    """Simulate the depth image of a view; light is uniform for the infrared cameras."""
     sensor = config.sensor.with_errors(config.depth_error) if config.depth_error else config.sensor
     if not sensor.enabled:
         return measure_depth(view.depth, camera, sensor, rng)

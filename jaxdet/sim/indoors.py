@@ -57,7 +57,11 @@ def _across(yaw: float, x: float, left: float, right: float, texture: Texture, n
 def _side(
     yaw: float, sign: int, y: float, end: float, texture: Texture, recess: float | None
 ) -> list[Wall]:
-    """Return the wall on one side of a corridor, its face at ``y``, with a door at ``recess``."""
+    """Return the walls of one side of a corridor, with their face at ``y``.
+
+    ``recess`` is the distance along the corridor at which a recessed door begins [m]; None: no
+    door.
+    """
 
     def piece(a: float, b: float, face: float, what: Texture, name: str) -> Wall:
         across = sign * (face + _HALF)
@@ -77,7 +81,7 @@ def _side(
 
 
 def _object_in_corridor(draft: Draft, yaw: float, left: float, right: float, far: float) -> None:
-    """Place a box, person or bin, at a wall or in the middle."""
+    """Place an object in a corridor, at a wall or between the walls, if there is room for it."""
     rng = draft.rng
     kind = str(rng.choice(["box", "box", "person", "bin", "cone", "chair"]))
     radius = 0.22 if kind == "person" else 0.28
@@ -109,7 +113,7 @@ def wall_in_range(draft: Draft) -> Scene:
     hedge = bool(rng.random() < 0.3)
     thick, tall = (0.6, float(rng.uniform(0.6, 1.4))) if hedge else (0.1, 2.8)
     texture, name = (HEDGE, "hedge") if hedge else (inner_wall(rng), "wall")
-    # The wall is rotated about the point of its face straight ahead.
+    # The wall is rotated about the point of its face that is straight ahead of the robot.
     ahead, along = rotation_z(yaw).T
     face = np.array([far, 0.0])
     a, b = (tuple((face + ahead * thick / 2 + side * along).tolist()) for side in (-5.0, 5.0))

@@ -21,12 +21,12 @@ def bend(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the smooth disparity error, and the holes of the margins.
 
-    The bowing is ``bow f B / 4 m`` in the corners times a shape that is constant for a camera: a
-    bowl and a twist with random signs and weights. In the margins the error grows quadratically
+    The bowing is ``bow f B / 4 m`` times a shape that is constant for a camera: the sum of a bowl,
+    a twist and a tilt with random signs and weights. In the margins the error grows quadratically
     from 0 at the inner end.
 
     Args:
-        shape: H, W.
+        shape: Image size ``(H, W)``.
         constant: f B [m pixel].
         sensor: Error model.
         rng: Random generator of the frame.
@@ -59,7 +59,7 @@ def bend(
 def misread(
     z: np.ndarray, surface: Surface, sensor: DepthSensor, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Select the matched surface on mirroring floors and clear panes.
+    """Select the surface that stereo matching measures on reflective floors and clear panes.
 
     Args:
         z: Ideal depth ``(H, W)`` float [m].

@@ -13,7 +13,7 @@ from jaxdet.sim.appearance import Texture
 
 
 class Mesh(NamedTuple):
-    """``F`` triangles."""
+    """A mesh of ``F`` triangles."""
 
     corners: np.ndarray
     """Vertices ``(F, 3, 3)`` float64 [m]."""
@@ -26,12 +26,12 @@ class Mesh(NamedTuple):
     textures: tuple[Texture, ...]
 
     def moved(self, T: np.ndarray) -> "Mesh":
-        """Apply a rigid transform ``(4, 4)``."""
+        """Return the mesh after a rigid transform ``(4, 4)``."""
         R = T[:3, :3]
         return self._replace(corners=self.corners @ R.T + T[:3, 3], normals=self.normals @ R.T)
 
     def scaled(self, factor: float) -> "Mesh":
-        """Scale the mesh about the origin; its texture keeps its scale."""
+        """Return the mesh scaled about the origin; the size of its pattern does not change."""
         return self._replace(corners=self.corners * factor, places=self.places * factor)
 
 
@@ -64,7 +64,7 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> n
 def soup(
     corners: np.ndarray, places: np.ndarray, texture: Texture, normals: np.ndarray | None = None
 ) -> Mesh:
-    """Build a mesh, by default flat-shaded, of triangles ``(F, 3, 3)`` that are not degenerate."""
+    """Build a mesh of triangles ``(F, 3, 3)``, flat-shaded by default, without degenerate ones."""
     if normals is None:
         flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals = np.repeat(flat[:, None], 3, axis=1)

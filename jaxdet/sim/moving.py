@@ -45,7 +45,7 @@ def moving(draft: Draft) -> Scene:
 
 
 def _trajectory(path: Path) -> np.ndarray:
-    """Return the trajectory of a path, ``(T, 2)`` [m]."""
+    """Return the positions of an object on a path at ``_TIMES_S``, ``(T, 2)`` [m]."""
     poses = [pose_at(path, float(t)) for t in _TIMES_S]
     return np.array([[pose.x, pose.y] for pose in poses])
 

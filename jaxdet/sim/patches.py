@@ -9,7 +9,7 @@ def smooth_noise(shape: tuple[int, ...], size_px: float, rng: np.random.Generato
     white = rng.standard_normal(shape, np.float32)
     if size_px <= 0:
         return white
-    # A Gaussian of this width divides the variance by 4 pi size^2; computed from its taps.
+    # A Gaussian divides the variance by about 4 pi size^2; the taps give the exact divisor.
     taps = cv2.getGaussianKernel(2 * int(3 * size_px + 0.5) + 1, size_px)
     return cv2.sepFilter2D(white, -1, taps, taps) / np.float32((taps**2).sum())
 
@@ -25,8 +25,8 @@ def chosen(share: np.ndarray | float, values: np.ndarray) -> np.ndarray:
 
     Args:
         share: Probability that a pixel is True, a number or an array of the shape of ``values``.
-        values: Normal noise, as from :func:`patches`; a logistic function approximates its
-            distribution to 0.01.
+        values: Normal noise, as from :func:`patches`. Its cumulative distribution is approximated
+            within 0.01 by a logistic function.
     """
     standard = (values - values.mean()) / max(float(values.std()), 1e-6)
     return 1 / (1 + np.exp(-1.702 * standard)) < share

@@ -6,7 +6,8 @@ depth is then computed in float64 from the triangle's plane, so it is exact up t
 
 The triangles of all worlds are concatenated; those of world ``w`` begin at ``first[w]``. A row of
 ``looks`` (surface appearance) is: pattern 0, colour 1-3, accent 4-6, period 7, grain 8, gloss 9,
-shift 10-11. A row of ``lamps`` is: direction to the lamp 0-2, radius of its disc at distance one 3.
+offset of the pattern 10-11. A row of ``lamps`` is: direction to the lamp 0-2, radius of the lamp's
+disc at unit distance 3.
 """
 
 import warp as wp
@@ -142,8 +143,9 @@ def raycast_view(
 ):
     """Render views, one thread per pixel.
 
-    ``face`` is the triangle (-1: none), ``depth`` z in the camera (inf: none), ``color`` that of
-    the surface; ``light`` is diffuse light, specular light, and the cosine between normal and view.
+    ``face_out`` is the triangle (-1: none), ``depth_out`` z in the camera (inf: none) [m],
+    ``color_out`` the colour of the surface [grey levels]; ``light_out`` is diffuse light, specular
+    light, and the cosine of the angle between normal and view.
     """
     b, v, u = wp.tid()
     world = world_of[b]

@@ -37,8 +37,9 @@ class Hits(NamedTuple):
     color: np.ndarray
     """Colour of the surface, ``(B, H, W, 3)`` float32 [grey levels], not clipped."""
     light: np.ndarray
-    """Lighting ``(B, H, W, 3)`` float32: cosine of the lamp times its visible fraction; specular
-    reflection of the lamp; cosine between surface normal and view."""
+    """Lighting ``(B, H, W, 3)`` float32: cosine between surface normal and lamp, times the visible
+    fraction of the lamp; specular reflection of the lamp; cosine between surface normal and view.
+    """
 
 
 class Caster:

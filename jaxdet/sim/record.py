@@ -62,7 +62,7 @@ def write_log(
 
 
 def _odometry_times(config: SimConfig) -> deque[float]:
-    """Return odometry times from before the first frame to after the last, between frame times."""
+    """Return the times of odometry messages [s]: from before the first frame to after the last."""
     if config.odometry_hz == 0:
         return deque()
     step = 1 / config.odometry_hz
@@ -79,7 +79,7 @@ def _write_odometry(writer: Ros2LogWriter, config: SimConfig, scene: Scene, time
 
 
 def static_transforms(config: SimConfig, calibration: Calibration) -> list[Transform]:
-    """Return the static TF frames: those of the camera driver and, if ``mount_tf``, the mount."""
+    """Return the static transforms in TF: the camera driver's and, if ``mount_tf``, the mount."""
     optical = np.eye(4)
     optical[:3, :3] = OPTICAL
     assert calibration.color_from_depth is not None

@@ -25,13 +25,14 @@ class PixelKind(IntEnum):
 
 
 class Rendering(NamedTuple):
-    """Image of an ideal camera."""
+    """Image of a camera without sensor errors."""
 
     color: np.ndarray
     """RGB of the surfaces without light, ``(H, W, 3)`` float32 [grey levels], not clipped."""
     light: np.ndarray
-    """Lighting ``(H, W, 3)`` float32: cosine of the lamp times its visible fraction; specular
-    reflection of the lamp; cosine between surface normal and view."""
+    """Lighting ``(H, W, 3)`` float32: cosine between surface normal and lamp, times the visible
+    fraction of the lamp; specular reflection of the lamp; cosine between surface normal and view.
+    """
     gloss: np.ndarray
     """Gloss of the surface, ``(H, W)`` float32."""
     depth: np.ndarray
@@ -54,7 +55,7 @@ class Rendering(NamedTuple):
 
     @property
     def height(self) -> np.ndarray:
-        """Height above the floor beneath, ``(H, W)`` float32 [m], NaN without a hit."""
+        """Height of surfaces above the floor beneath, ``(H, W)`` float32 [m], NaN without a hit."""
         height = np.full(self.depth.shape, np.nan, np.float32)
         solid = self.kind >= PixelKind.WALL
         x, y, z = self.points[solid].T
@@ -142,7 +143,7 @@ _building = Lock()
 
 
 def caster_of(scene: Scene, time_s: float, seed: int, device: str, part: Part = "all") -> Caster:
-    """Return the caster of a scene, or a part of it, at a time; cached."""
+    """Return the ray caster of a scene, or of a part of it, at a time [s]; casters are cached."""
     with _building:
         return _caster(scene, time_s, seed, device, part)
 

@@ -33,7 +33,7 @@ class Pose(NamedTuple):
 
 
 def pose_at(path: Path, time_s: float) -> Pose:
-    """Return the pose at a time; the robot follows the line and reverses smoothly.
+    """Return the pose on a path at a time [s]; the motion reverses smoothly at both ends.
 
     The position along the axis is a(t) = length (1 - cos w t) / 2 with w = 2 speed / length.
     """
@@ -69,8 +69,8 @@ def drifted(pose: Pose, drift: float) -> Pose:
 def mount(height_m: float, pitch_rad: float, roll_rad: float) -> np.ndarray:
     """Return the pose of the colour camera on the robot.
 
-    Down in the optical frame is (sin r cos p, cos r cos p, sin p), as in
-    :class:`jaxdet.types.GroundPlane`.
+    With pitch p and roll r, the downward direction in the optical frame is (sin r cos p,
+    cos r cos p, sin p), as in :class:`jaxdet.types.GroundPlane`.
 
     Returns:
         ``T_base_color`` ``(4, 4)`` float64, from colour optical frame to base_footprint.

@@ -126,7 +126,7 @@ class Ground:
 class Path:
     """A sine that the robot follows back and forth, so that a log can have any length.
 
-    In the frame of ``start`` and ``yaw`` it is y = weave sin(2 pi x / weave_length).
+    In the frame given by ``start`` and ``yaw`` the sine is y = weave sin(2 pi x / weave_length).
     """
 
     start: tuple[float, float] = (0.0, 0.0)
@@ -142,7 +142,7 @@ class Path:
     weave_length: float = 3.0
     """Wavelength [m]."""
     lead_s: float = 0.0
-    """Time since the start of the motion at the first frame [s]."""
+    """Time between the start of the motion and the first frame [s]."""
 
 
 @dataclass(frozen=True)

@@ -71,10 +71,11 @@ def match_quality(
 ) -> np.ndarray:
     """Compute the ratio of contrast to noise in the matching window.
 
-    Ambient light gives the surface's contrast, standard deviation over mean. The dots add
-    ``facing lux_p / (z^2 lux)``, at most 1. The noise is that of a camera whose mean pixel holds
-    2500 electrons with a read noise of 1 % of the mean: ``sqrt(4e-4 / s + (0.01 / s)^2)`` for a
-    surface of brightness s, divided by the square root of (pixels in the window / 8).
+    In ambient light the contrast is the surface's, standard deviation over mean. The projector's
+    dots add ``facing projector_lux / (z^2 lux)``, at most 1, to it. The noise is that of a camera
+    whose mean pixel holds 2500 electrons with a read noise of 1 % of the mean:
+    ``sqrt(4e-4 / s + (0.01 / s)^2)`` for a surface of brightness s, divided by the square root of
+    (pixels in the window / 8).
 
     Args:
         surface: Appearance of the surfaces.

@@ -15,7 +15,7 @@ def rings(points: np.ndarray, texture: Texture, smooth_along: bool = False) -> M
 
     Args:
         points: m rings of n points, ``(m, n, 3)``, counter-clockwise seen from the last ring.
-        texture: Texture; s runs around, t along.
+        texture: Texture; its coordinate s runs around a ring, t from the first ring to the last.
         smooth_along: Whether to shade smoothly from ring to ring too.
     """
     closed = np.concatenate([points, points[:, :1]], axis=1)
@@ -56,12 +56,15 @@ def circle(radius: float, z: float, sides: int = 48, x: float = 0.0, y: float = 
 
 
 def lathe(profile: Iterable[tuple[float, float]], texture: Texture, sides: int = 48) -> Mesh:
-    """Build a surface of revolution through ``(radius, height)`` points, upwards for an outside."""
+    """Build a surface of revolution through ``(radius, height)`` points.
+
+    Points from bottom to top give an outer side, from top to bottom an inner side.
+    """
     return rings(np.stack([circle(r, z, sides) for r, z in profile]), texture)
 
 
 def cylinder(radius: float, height: float, texture: Texture, sides: int = 64) -> Mesh:
-    """Build an upright cylinder on z = 0, inscribed: within 0.12 % of the radius at 64 sides."""
+    """Build an upright cylinder on z = 0; at 64 sides its faces are within 0.12 % of the radius."""
     lid = fan(circle(radius, height, sides), texture)
     return join([lathe([(radius, 0.0), (radius, height)], texture, sides), lid])
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxdet.sim.mesh import Mesh
 
 SLICE_M = 0.15
-"""Maximum height of a slice [m]; a slice of a slanted part spans its full extent in between."""
+"""Maximum height of a slice [m]; in a slice a slanted part takes up all space that it crosses."""
 TOUCH_M = 0.002
 """Objects that intersect by less than this only touch [m]."""
 
@@ -18,7 +18,7 @@ TOUCH_M = 0.002
 class Solid(NamedTuple):
     """An object as ``S`` horizontal slices of its connected parts, each a convex hull from above.
 
-    A table is a top and four legs, so that a chair fits under it.
+    A table, for instance, consists of a top and four legs, so that a chair fits under it.
     """
 
     box: np.ndarray
@@ -104,7 +104,7 @@ def hull_between(corners: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def _parts(corners: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield the triangles of each connected part of a mesh, which share vertices."""
+    """Yield the triangles ``(F, 3, 3)`` of each part of a mesh that is connected by vertices."""
     places = np.rint(corners * 1e5).astype(np.int64)  # keys are unique within 21 m
     _, face = np.unique(places @ (1, 1 << 21, 1 << 42), return_inverse=True)
     part = np.arange(face.max() + 1)

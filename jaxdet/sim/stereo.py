@@ -15,8 +15,8 @@ class DepthSensor:
     baseline_m: float = 0.05
     """Baseline [m]: 50 mm by the D400 series data sheet (337029)."""
     noise_px: float = 0.08
-    """Standard deviation of the disparity [pixel]: 0.032 at best, 0.08 in practice, by RealSense's
-    chief technical officer (librealsense issue 3904)."""
+    """Standard deviation of the disparity [pixel]: 0.032 at best, 0.08 in practice according to
+    RealSense's chief technical officer (librealsense issue 3904)."""
     noise_size_px: float = 1.5
     """Correlation length of the noise [pixel], as matching compares windows."""
     step_px: float = 1 / 32
@@ -61,7 +61,7 @@ class DepthSensor:
     """Fraction of a clear pane without depth, in blotches; the rest shows the background."""
 
     def with_errors(self, scale: float = 1.0) -> "DepthSensor":
-        """Add the errors of real D400 cameras on real floors.
+        """Return the sensor with the additional errors of real D400 cameras on real floors.
 
         At ``scale`` 1, holes, deviations from the floor plane by distance, and errors in the
         margins are as in labelled frames of a D415 (``python -m benchmarks.real_floor``).

@@ -66,7 +66,8 @@ def drops(draft: Draft) -> Scene:
     )
     side = np.array([-np.sin(yaw), np.cos(yaw)])
     for _ in range(int(rng.integers(1, 3))):
-        # Clear of the edge: objects on the robot's side, or people beyond it who rise above it.
+        # Objects keep clear of the edge. Beyond it are only people, as they are tall enough to be
+        # visible above it.
         before = start > 1.7 and rng.random() < 0.6
         beyond = start + 0.6 + 0.32 * steps
         low, high = (1.0, start - 0.6) if before else (beyond, beyond + 1.5)

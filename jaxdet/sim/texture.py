@@ -15,7 +15,7 @@ from jaxdet.sim.appearance import Kind
 SIZE = int(kernels.SIZE)
 """Side of a pattern's finest image [texel]."""
 PERIODS = int(kernels.PERIODS)
-"""Number of periods per image, which differ in their noise."""
+"""Number of periods of the pattern per image; each period has different noise."""
 
 
 def spectral_noise(rng: np.random.Generator, slope: float, stretch: float = 1.0) -> np.ndarray:
@@ -24,7 +24,7 @@ def spectral_noise(rng: np.random.Generator, slope: float, stretch: float = 1.0)
     Args:
         rng: Random generator.
         slope: Exponent by which the amplitude falls with frequency; 0: white noise.
-        stretch: Aspect ratio of features, along s over along t.
+        stretch: Length of features along s divided by their length along t.
 
     Returns:
         Noise ``(SIZE, SIZE)`` float64 indexed ``[t, s]``, zero mean, unit variance.
@@ -39,7 +39,7 @@ def spectral_noise(rng: np.random.Generator, slope: float, stretch: float = 1.0)
 
 
 def _built(kind: Kind, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return accent and brightness of a regular pattern; None for natural patterns."""
+    """Return the accent fraction and brightness offset of a regular pattern, else None."""
     t, s = np.mgrid[:SIZE, :SIZE] * (PERIODS / SIZE)
     shade = np.zeros((SIZE, SIZE))
     per_cell = rng.normal(0, 7, (8 * PERIODS, 8 * PERIODS))

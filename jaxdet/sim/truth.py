@@ -68,10 +68,9 @@ class Truth(NamedTuple):
     above 0.05 m count, if there are any."""
     ground_min: np.ndarray
     """Minimum coordinates (right, forward) of the surface measured by ``nearest_m``, in the
-    camera's ground frame, ``(F, J, 2)`` float32 [m]; the second is the distance to its nearest
-    face."""
+    camera's ground frame, ``(F, J, 2)`` float32 [m]."""
     ground_max: np.ndarray
-    """Maximum coordinates of the surface of ``nearest_m``, ``(F, J, 2)`` float32 [m]."""
+    """Maximum coordinates (right, forward) of the same surface, ``(F, J, 2)`` float32 [m]."""
     edge_m: np.ndarray
     """Distance from the camera's ground projection to the first step down, ``(F, 81)`` float32 [m],
     at the bearings ``EDGE_BEARINGS_RAD`` (-40 to 40 degrees, clockwise); NaN without a step."""
@@ -85,7 +84,7 @@ def truth_path(log: str | Path) -> Path:
 
 
 class TruthWriter:
-    """Write ground truth frame by frame, to limit memory; a context manager.
+    """Writer of a ground truth file, a context manager; images are written frame by frame.
 
     Args:
         path: Output file.
@@ -106,14 +105,14 @@ class TruthWriter:
             self._zip.close()
 
     def add(self, frame: SimFrame) -> None:
-        """Add a frame."""
+        """Write the images of a frame, and keep the rest of its ground truth for :meth:`finish`."""
         self._rows.append(frame_truth(frame))
         self._put(f"obstacle_id_{frame.number:06d}", frame.truth.obstacle_id)
         self._put(f"depth_{frame.number:06d}", frame.truth.depth.astype(np.float16))
         self._put(f"drivable_{frame.number:06d}", floor_truth(frame).drivable)
 
     def finish(self) -> Truth:
-        """Write the remaining arrays and close the file."""
+        """Write all arrays without pixels, close the file and return these arrays."""
         truth = self._truth()
         for name, array in truth._asdict().items():
             self._put(name, array)
@@ -140,6 +139,7 @@ class TruthWriter:
 
 
 _OF_LOG = ("names", "is_wall")
+"""Fields of :class:`Truth` with one row for the log, not one per frame."""
 
 
 def frame_truth(frame: SimFrame) -> Truth:
@@ -180,8 +180,8 @@ def visible_extents(
     """Compute the extent of the visible part of each object.
 
     Returns:
-        Pixels ``(J,)``, nearest z ``(J,)``, minimum and maximum right, forward ``(J, 2)`` [m], as
-        in :class:`Truth`.
+        Number of pixels ``(J,)``, nearest z ``(J,)`` [m], and minimum and maximum coordinates
+        (right, forward), each ``(J, 2)`` [m], as in :class:`Truth`.
     """
     T = ground_frame(frame.T_world_base)
     pixels = np.bincount(frame.truth.obstacle_id.ravel(), minlength=objects + 1)[1:]

@@ -29,7 +29,7 @@ floor."""
 
 
 class World(NamedTuple):
-    """A scene at a point in time."""
+    """Mesh of a scene at a point in time."""
 
     mesh: Mesh
     """Mesh of all objects, the floor first."""
@@ -58,12 +58,12 @@ def _world(scene: Scene, time_s: float) -> World:
 
 
 def object_mesh(scene: Scene, j: int, time_s: float) -> Mesh:
-    """Return the mesh of object ``j`` (from 0) in the world at a time."""
+    """Return the mesh of object ``j`` (from 0) in the world at a time [s]."""
     return mesh_of(scene.objects[j], scene.ground, time_s)
 
 
 def mesh_of(obj: SceneObject, ground: Ground, time_s: float = 0.0) -> Mesh:
-    """Return the mesh of an object on the ground at a time."""
+    """Return the mesh of an object on the ground at a time [s]."""
     if isinstance(obj, Wall):
         foot = _WALL_FOOT_M if ground.slope_rad or ground.bump_m or ground.drop_m else 0.0
         return _box(obj.box, foot + ground.drop_m * ground.drop_steps)

@@ -15,10 +15,11 @@ class TrackConfig:
     max_speed_mps: float = 3.0
     """Maximum speed of an object [m/s]; tracks that seem faster count as stationary."""
     gate_m: float = 0.3
-    """Gate on the motion of an outline's nearest edges between two frames [m], added to the motion
-    at maximum speed."""
+    """Distance by which an outline's displacement between two frames may exceed the distance
+    covered at maximum speed [m], for the outlines to be linked."""
     max_gap_frames: int = 3
-    """Maximum number of frames between two observations linked by their edges alone."""
+    """Maximum difference between the frame numbers of two observations that are linked by the
+    motion of their edges only."""
     max_gap_s: float = 2.5
     """Maximum time without an observation before a track ends [s]."""
     overlap: float = 0.4
@@ -36,7 +37,7 @@ class TrackConfig:
     """Minimum number of frames in which a track is observed."""
     moving_m: float = 0.3
     """Minimum displacement of a moving object's centre [m]; its ends must move by at least half of
-    it."""
+    this distance."""
     noise_m: float = 0.25
     """Maximum RMS residual of the ends of a moving long object [m]."""
     smooth_s: float = 0.7

@@ -1,4 +1,4 @@
-"""Adds tracks to the folder of a log, as separate tables next to those of the run.
+"""Tracks in the folder of a log, as separate tables next to those of the run.
 
 The track of each obstacle is in ``track_links.parquet``, whose rows correspond to those of
 ``obstacles.parquet``. The tables of the run thus remain unchanged, and tracking again with other
@@ -40,9 +40,9 @@ from jaxdet.tracks.sightings import OBSTACLE_COLUMNS, POSE_COLUMNS
 from jaxdet.tracks.tracker import Tracker
 
 WINDOW_FRAMES = 1024
-"""Number of frames linked together. It affects the results, as it may decide a link. Memory grows
-with it and with the square of the number of obstacles per frame: 0.2 GB for 30 obstacles, 1.6 GB
-for 100."""
+"""Number of frames linked together. It affects the results, as it may decide whether obstacles are
+linked. The memory needed grows with it and with the square of the number of obstacles per frame:
+0.2 GB for 30 obstacles, 1.6 GB for 100."""
 TRACKING_KEY = "jaxdet.tracking"
 KNOWN = "known_map"
 """Name, without suffix, of the copy of the map with which obstacles were compared."""
@@ -62,10 +62,13 @@ class LogTracks(NamedTuple):
     log: str
     """Name of the log, with the camera if it has several."""
     tracks: int
+    """Number of tracks."""
     moving: int
+    """Number of tracks of moving objects."""
     in_world: int
     """Number of tracks in the world frame; the others are in the camera's ground frame."""
     obstacles: int
+    """Number of obstacles of the log."""
     linked: int
     """Number of obstacles in tracks."""
     blind: tuple[str, ...]
@@ -140,7 +143,9 @@ def check_frame(results: Results, frame: str | None) -> None:
 
 
 def add_tracks(folder: Path, config: TrackConfig, known: Grid | None = None) -> list[LogTracks]:
-    """Write the tracks of a log and its manifest into its folder, which no other process uses.
+    """Write the tracks of a log and a new manifest into its folder.
+
+    No other process may use the folder.
 
     Args:
         folder: Complete folder of a log.
@@ -199,7 +204,7 @@ def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[Lo
 
 
 def lasting_map(results: Results, log: ResultLog) -> MapImage | None:
-    """Return the map of a log, after ``jaxdet track`` without obstacles that are not lasting.
+    """Return the map of a log, with only the lasting obstacles if ``jaxdet track`` was run.
 
     Raises:
         InputError: The map or the tracks can't be read.
@@ -259,7 +264,7 @@ def _track_log(
     links: "_Writer",
     places: Places,
 ) -> LogTracks:
-    """Track the obstacles of a log, and write its rows of ``track_links.parquet``."""
+    """Track the obstacles of a log; write its rows of ``track_links.parquet``; return a summary."""
     cameras = log.summary["calibration"] or {}
     image = cameras.get("color") or cameras.get("depth") or {}
     keys = list(LINKS_SCHEMA.names[:4])
@@ -339,7 +344,7 @@ class _Writer:
 
 
 def _metadata(results: Results, config: TrackConfig) -> dict[str, str]:
-    """Return the metadata of the tables: those of the obstacles, and the tracking parameters."""
+    """Return the tables' metadata: those of ``obstacles.parquet``, and the tracking parameters."""
     tracking = json.dumps(dataclasses.asdict(config), sort_keys=True, separators=(",", ":"))
     about = results.metadata(results.logs[0]) if results.logs else {}
     return about | {TRACKING_KEY: tracking}

@@ -12,14 +12,14 @@ from jaxdet.tracks.outlines import Outlines, displacement, gap
 from jaxdet.tracks.pairs import chain_starts, greedy_matching, pairs_of_frames, ranges
 
 FIT_S = 0.5
-"""Time over which the velocity at an end of a tracklet is fitted [s]; at least one further
-observation is used."""
+"""Time over which the velocity at an end of a tracklet is fitted [s]; the observation next to the
+end is used even if it is farther away in time."""
 _STEADY_S = 0.1
 """Regularisation: velocities fitted over less time than this shrink toward zero [s]."""
 _STRETCH = 0.1
 """Cost of a change in area by a factor of e [m]."""
 _LOST_M, _LOST_MPS = 0.35, 0.5
-"""Gate on the prediction error after a gap: a constant [m], plus this per second [m/s]."""
+"""Gate on the prediction error after a gap: a constant [m], and its increase with time [m/s]."""
 
 
 def link_frames(
@@ -33,8 +33,8 @@ def link_frames(
     Args:
         obs: ``N`` observations.
         before: Index of the previous observation of each, ``(N,)`` int64, -1 for none.
-        first: Index of the first observation to link, to earlier ones or to each other.
-        config: Gate.
+        first: Index of the first observation that may be linked to an earlier one.
+        config: Tracking parameters with the gate.
 
     Returns:
         ``before`` with the new links.
@@ -91,7 +91,7 @@ def end_pieces(
         ``before`` without the links of these tracklets from the split on.
     """
     root = chain_starts(before)
-    end = np.zeros(len(before), np.int64)  # last frame of each chain, at its first row
+    end = np.zeros(len(before), np.int64)  # last frame of each chain, stored at its first row
     np.maximum.at(end, root, obs.frame)
     starts = np.flatnonzero(before[first:] < 0) + first
     old, new = pairs_of_frames(obs.frame, starts, 0)
@@ -142,7 +142,7 @@ def tracklets_of(obs: Observations, before: np.ndarray) -> Tracklets:
 
 
 def _next(chain: np.ndarray, at: np.ndarray, step: int) -> np.ndarray:
-    """Return the existing rows that are ``step`` observations after ``at`` in their chains."""
+    """Return the rows ``step`` observations after the rows ``at`` in their chains, if any."""
     order = np.argsort(chain, kind="stable")
     position = np.empty(len(chain), np.int64)
     position[order] = np.arange(len(chain))
@@ -170,14 +170,17 @@ def link_tracklets(
     config: TrackConfig,
     late: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Link ends of tracklets to starts of later ones if both predictions agree (second pass).
+    """Link ends of tracklets to starts of later ones across gaps (second pass).
+
+    The prediction of the earlier tracklet forward in time must agree with the later one, as must
+    the prediction of the later tracklet backward with the earlier one.
 
     Args:
         obs: ``N`` observations.
         before: Result of the first pass, ``(N,)`` int64.
         first: Index of the first observation at which tracklets are linked.
         config: Tracking parameters; the maximum gap is used.
-        late: Additional earlier observations at which tracklets are linked.
+        late: Indices of earlier observations at which tracklets are linked as well.
 
     Returns:
         ``before`` with the new links.

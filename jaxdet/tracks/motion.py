@@ -11,7 +11,7 @@ from jaxdet.tracks.occlusion import hidden_shift
 from jaxdet.tracks.pairs import ranges
 
 GUESSED = 0.05
-"""Weight of a frame without an observation, whose edges are interpolated."""
+"""Weight of interpolated edges, in frames without an observation."""
 LONGER, MERGED = 1.6, 0.1
 """Ratio to the median length above which an outline counts as merged with another object, and the
 weight of such outlines."""
@@ -23,8 +23,8 @@ class Motion(NamedTuple):
     """Trajectories of ``K`` tracks with ``P`` points in total, track by track, one per frame."""
 
     first: np.ndarray
-    """First point of each track, ``(K,)`` int64; it has a point for each frame from its first to
-    its last."""
+    """Index of the first point of each track, ``(K,)`` int64. A track has a point for each frame
+    from its first to its last."""
     position: np.ndarray
     """Centre of the outline, ``(P, 2)`` float64 [m]."""
     velocity: np.ndarray
@@ -108,7 +108,7 @@ def _is_moving(
     """Return which tracks move, ``(K,)``: both ends and the centre are displaced beyond noise.
 
     The limits are stricter for objects with a large median length ``usual`` ``(K,)`` [m], because
-    pieces of a wall appear and disappear, so its ends jump.
+    parts of a wall appear and disappear, so that the ends of its outline jump.
     """
     shift = line - line[starts][track]
     low, high = shift[:, :2], shift[:, 2:]
@@ -144,8 +144,8 @@ def _fitted_lines(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fit a line to the values within ``reach_s`` of each point: value and slope, ``(P, V)``.
 
-    At both ends of a track the window is shifted inward, so that it covers at least three quarters
-    of its length. A point without others in its window is fitted with its neighbours.
+    At both ends of a track the window is shifted inward, so that at least three quarters of it are
+    inside the track. A point without others in its window is fitted with its neighbours.
     """
     ends = np.flatnonzero(np.diff(track, append=-1))
     first, last = time[np.append(0, ends[:-1] + 1)][track], time[ends][track]

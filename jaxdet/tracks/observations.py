@@ -11,7 +11,8 @@ from jaxdet.tracks.outlines import Outlines
 BORDER_PX = 1
 """Distance from the image border within which a box counts as cut off [pixel]."""
 NOISE_M = 3.0
-"""Distance at which depth noise, which grows with its square, equals the constant noise [m]."""
+"""Distance at which depth noise, which grows with the square of the distance, equals the constant
+noise [m]."""
 
 
 class Observations(NamedTuple):
@@ -84,8 +85,8 @@ def observations_of(
         columns: Columns of ``obstacles.parquet``: ``corners_ground``, ``corners_world`` (NaN
             without a pose), ``bottom_m``, ``top_m``, ``distance_m`` (NaN without a floor),
             ``z_min``, ``u_min``, ``u_max``, ``x_min``, ``x_max``.
-        width: Width of the image of the boxes [pixel], None if unknown. Obstacles outside of it
-            have NaN in ``u_min`` and ``u_max``, and no hidden side.
+        width: Width of the image that the boxes refer to [pixel], None if unknown. Obstacles
+            outside of this image have NaN in ``u_min`` and ``u_max``, and no hidden side.
     """
     world = columns["corners_world"]
     in_world = np.asarray(np.isfinite(world).all(axis=1))
@@ -124,8 +125,8 @@ def _rightwards(ground: np.ndarray, world: np.ndarray, in_world: np.ndarray) -> 
 def _across(roll_rad: np.ndarray) -> np.ndarray:
     """Return the direction of increasing image columns, ``(N,)``: 1 right, -1 left, 0 neither.
 
-    It is left for an upside-down camera (roll of 135 degrees or more), and neither for a camera on
-    its side (45 degrees or more).
+    The direction is left for an upside-down camera (roll of 135 degrees or more), and neither for a
+    camera on its side (45 degrees or more).
     """
     upright = cos(np.where(np.isnan(roll_rad), 0.0, roll_rad))
     return np.where(np.abs(upright) > cos(np.pi / 4), np.sign(upright), 0.0)

@@ -39,7 +39,7 @@ class Outlines(NamedTuple):
         return 4 * self.half[:, 0] * self.half[:, 1]
 
     def reach(self, direction: np.ndarray) -> np.ndarray:
-        """Return half the extent along unit vectors ``(N, 2)``, ``(N,)`` [m]."""
+        """Return half the extents ``(N,)`` [m] along unit vectors ``(N, 2)``."""
         along = np.abs(dot(self.axis, direction))
         across = np.abs(self.axis[:, 0] * direction[:, 1] - self.axis[:, 1] * direction[:, 0])
         return self.half[:, 0] * along + self.half[:, 1] * across
@@ -48,8 +48,8 @@ class Outlines(NamedTuple):
 def overlap(a: Outlines, b: Outlines) -> np.ndarray:
     """Compute the overlap of rectangle pairs by the separating axis test.
 
-    It is the minimum, over the sides of both, of the shared length divided by the smaller extent: 1
-    if one rectangle contains the other, negative if a line separates them.
+    The overlap is the minimum, over the sides of both, of the shared length divided by the smaller
+    extent: 1 if one rectangle contains the other, negative if a line separates them.
 
     Args:
         a: ``N`` rectangles.
@@ -82,11 +82,11 @@ def gap(a: Outlines, b: Outlines) -> np.ndarray:
 def displacement(a: Outlines, b: Outlines) -> np.ndarray:
     """Compute the motion from ``a`` to ``b``, robust against changes of the visible part.
 
-    Along each side of ``a`` it is the minimum over both ends and the centre: a change of visibility
-    moves one end and the centre, while motion moves all three.
+    Along each side of ``a`` the displacement is the minimum over both ends and the centre: a change
+    of visibility moves one end and the centre, while motion moves all three.
 
     Returns:
-        Larger displacement of both sides, ``(N,)`` float64 [m].
+        Larger one of the displacements along both sides, ``(N,)`` float64 [m].
     """
     shift, most = b.center - a.center, np.zeros(len(a.center))
     for axis in (a.axis, perpendicular(a.axis)):

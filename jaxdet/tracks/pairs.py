@@ -68,7 +68,10 @@ def greedy_matching(a: np.ndarray, b: np.ndarray, cost: np.ndarray, size: int) -
 
 
 def components(size: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the smallest row in the connected component of each row, ``(size,)`` int64."""
+    """Return the smallest row in the connected component of each row, ``(size,)`` int64.
+
+    Rows ``a[i]`` and ``b[i]`` are connected.
+    """
     root = np.arange(size)
     while True:
         low = np.minimum(root[a], root[b])

@@ -41,7 +41,8 @@ maps the visible outline of furniture, and the cells behind the outline stay unk
 EDGE_POINTS = 9
 """Number of points on the edge AB of an obstacle without a contour (preset ``paper``)."""
 IN_MAP = 0.5
-"""Minimum fraction of an edge's points in the map, and of a track's obstacles."""
+"""Minimum fraction of points of its visible edge for an obstacle to be in the map, and minimum
+fraction of its obstacles for a track."""
 
 
 class PlaceRows(NamedTuple):
@@ -51,8 +52,8 @@ class PlaceRows(NamedTuple):
     """Sightings of each place, ``(N, 3)`` int64, see :meth:`jaxdet.tracks.sightings.Sightings.of`.
     """
     in_map: np.ndarray
-    """Fraction of the points in the map, ``(N,)`` float64, NaN without a map or a position in the
-    world."""
+    """Fraction of the points of the visible edge that are in the map, ``(N,)`` float64, NaN without
+    a map or a position in the world."""
 
     def columns(self) -> list[pa.Array]:
         """Return the columns :data:`COLUMNS` of ``track_links.parquet``."""
@@ -65,7 +66,8 @@ class Places:
     Args:
         results: Results with the log.
         log: Log whose frames are read.
-        most_floor: Maximum fraction of floor of obstacles drawn on maps.
+        most_floor: Maximum fraction of frames that show floor at the place of an obstacle drawn on
+            maps.
         known: Known map with which obstacles are compared.
     """
 
@@ -97,7 +99,7 @@ class Places:
         return PlaceRows(sightings, shares_in_map(chunk, self._known))
 
     def count(self, tracks: np.ndarray, places: PlaceRows) -> None:
-        """Add the places of obstacles to those of their tracks.
+        """Add the sightings and map comparisons of obstacles to the counts of their tracks.
 
         Args:
             tracks: Track number of each obstacle, ``(N,)``, -1 for none.
@@ -111,7 +113,7 @@ class Places:
         np.add.at(self._of_tracks, tracks[linked], each[linked])
 
     def follow(self, rows: TrackRows) -> None:
-        """Count the frames that show floor at the current position of a moving track."""
+        """Count the frames that show floor at the position of a moving track in the same frame."""
         tracks = TracksInFrames(row for part in rows.ordered() for row in part.to_pylist())
         for chunk in self._results.chunks(self._log, FRAME_COLUMNS, (), CHUNK_FRAMES):
             frames, numbers, places = [], [], []
@@ -156,8 +158,8 @@ class Places:
 def shares_in_map(chunk: Tables, known: KnownPlaces) -> np.ndarray:
     """Return the fraction of the points of each visible edge that a map contains.
 
-    The map contains a point if there is an occupied cell near it, or within :data:`BEHIND_M` of it
-    if its own cell is unknown.
+    The map contains a point if there is an occupied cell near it, or, if the cell of the point is
+    unknown, within :data:`BEHIND_M` of the point.
 
     Args:
         chunk: Tables with ``POSE_COLUMNS`` and ``OBSTACLE_COLUMNS`` of
@@ -182,7 +184,7 @@ def shares_in_map(chunk: Tables, known: KnownPlaces) -> np.ndarray:
 
 
 def visible_edges(chunk: Tables) -> Lines:
-    """Return the contours of all obstacles; of obstacles without one, points on their edge AB."""
+    """Return the contours of all obstacles; an obstacle without one has points on its edge AB."""
     lines = contours(chunk, poses(chunk.frames))
     bare = lines.lengths == 0
     count = np.where(bare, EDGE_POINTS, lines.lengths)
@@ -196,8 +198,8 @@ def visible_edges(chunk: Tables) -> Lines:
 def is_lasting(floor_seen: np.ndarray, most_floor: float) -> np.ndarray:
     """Return whether obstacles are drawn on maps.
 
-    Those are drawn whose fraction of floor is at most ``most_floor``, or NaN: without a position
-    in the world.
+    An obstacle is drawn if the fraction of frames that show floor at its place, ``floor_seen``, is
+    at most ``most_floor``, or NaN because it has no position in the world.
 
     Example:
         >>> is_lasting(np.array([0.1, 0.9, np.nan]), 0.3).tolist()
@@ -207,7 +209,7 @@ def is_lasting(floor_seen: np.ndarray, most_floor: float) -> np.ndarray:
 
 
 def with_outlines(image: MapImage, outlines: OccupancyMap) -> MapImage:
-    """Return a map with the counts of other outlines."""
+    """Return a map with its counts replaced by those of other outlines."""
     counts, own = np.zeros_like(image.counts), outlines.image()
     if own is not None:
         shift = np.subtract(own.origin, image.origin) / image.cell_m
@@ -227,7 +229,7 @@ def _shows_floor(
     Args:
         free: Free floor of all frames.
         frame: Rows of the frames, ``(N,)`` integers.
-        T: Their camera poses, ``(N, 4, 4)`` float64.
+        T: Camera poses of these frames, ``(N, 4, 4)`` float64.
         place: Places ``(N, 2)`` float64 [m].
     """
     sin, cos = world_angle(T)

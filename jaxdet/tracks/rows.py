@@ -51,7 +51,7 @@ class TrackRows:
         return len(self._places)
 
     def add(self, tracks: Sequence[Track]) -> None:
-        """Add tracks."""
+        """Append tracks that have ended, in any order."""
         if not tracks:
             return
         with writing(self._path):

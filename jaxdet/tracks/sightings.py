@@ -4,7 +4,7 @@ The place of an obstacle is the cells along its contour, i.e. its visible edge. 
 sighting of a cell if it shows there
 
 - the contour of an obstacle;
-- floor, along its rays of free floor; or
+- floor, along the frame's rays of free floor; or
 - the end of such a ray at points above the step height that are too few for an obstacle.
 
 Cells that are hidden by a nearer object, out of view or unmeasured are not sighted. Contours and
@@ -159,7 +159,10 @@ def thickness(distance_m: np.ndarray) -> np.ndarray:
 
 
 def poses(frames: pa.Table) -> np.ndarray:
-    """Return ``T_world_camera`` of frames, ``(F, 4, 4)``, NaN without a pose or a level floor."""
+    """Return ``T_world_camera`` of frames, ``(F, 4, 4)``.
+
+    It is NaN if the pose or the floor is unknown, or the world's z is not up.
+    """
     place, turn = (vectors(frames[name], size) for name, size in zip(_POSE, (3, 4), strict=True))
     tilt = (frames[name].to_numpy().astype(np.float64) for name in TILT[1:])
     known = np.isfinite(place).all(axis=1) & np.isfinite(turn).all(axis=1)

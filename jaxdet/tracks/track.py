@@ -20,13 +20,17 @@ class Track(NamedTuple):
     first_frame: int
     """Number of the first frame with an observation."""
     last_frame: int
+    """Number of the last frame with an observation."""
     first_stamp_ns: int
+    """Timestamp of the first frame [ns]."""
     last_stamp_ns: int
+    """Timestamp of the last frame [ns]."""
     frames: int
     """Number of frames with an observation."""
     obstacles: int
     """Number of obstacles (rows of ``obstacles.parquet``) in the track."""
     moving: bool
+    """Whether the object moves."""
     mean_speed_mps: float
     """Mean speed, 0 for a stationary track [m/s]."""
     max_speed_mps: float
@@ -53,6 +57,7 @@ class Piece(NamedTuple):
     first_stamp_ns: int
     last_stamp_ns: int
     num_observations: int
+    """Number of frames with an observation."""
     obstacles: int
     moving: bool
     length_m: float

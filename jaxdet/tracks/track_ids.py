@@ -26,8 +26,11 @@ class TrackIds:
         self._open: deque[int] = deque()
         """Chains without a track number, ascending."""
         self._rows: deque[np.ndarray] = deque()
+        """Chains passed as ``obstacles`` to calls of :meth:`add` that are not taken yet."""
         self._taken = 0
+        """Number of calls of :meth:`add` that are taken."""
         self._ended: deque[tuple[int, int]] = deque()
+        """Pairs for ended chains: number of calls of :meth:`add` before the end, and chain."""
 
     def add(self, observed: np.ndarray, obstacles: np.ndarray) -> None:
         """Add the observations of the next frames.
@@ -64,7 +67,10 @@ class TrackIds:
         self._number()
 
     def take(self) -> list[np.ndarray]:
-        """Return the tracks of the obstacles of each decided :meth:`add`, int32, -1 = none."""
+        """Return the track of each obstacle, ``(M,)`` int32, -1 = none, per call of :meth:`add`.
+
+        The calls returned are those after the last :meth:`take` whose chains are all decided.
+        """
         decided = []
         while self._rows and (not self._open or self._rows[0].max(initial=-1) < self._open[0]):
             rows = self._rows.popleft()

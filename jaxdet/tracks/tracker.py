@@ -16,8 +16,8 @@ from jaxdet.tracks.track import Piece, Track, piece_of, track_of
 from jaxdet.tracks.track_ids import TrackIds
 
 PIECE_FRAMES = 1024
-"""Minimum number of frames per piece of a track with more than twice as many frames. It affects the
-results, as size and motion are determined per piece."""
+"""Minimum number of frames of a piece. Tracks with more than twice as many frames are split into
+pieces. The number affects the results, as size and motion are determined per piece."""
 
 
 class Tracker:
@@ -39,6 +39,7 @@ class Tracker:
         """Chain of each observation, identified by the index in the log of its first observation.
         """
         self.before = np.zeros(0, np.int64)
+        """Row of the previous observation in the chain, -1 = none."""
         self.count = 0
         """Number of observations so far."""
         self.start = 0
@@ -195,7 +196,7 @@ class Tracker:
             yield chain, piece_of(obs.take(shown), *about, motion.position[points], speed[points])
 
     def _forget(self, gone: np.ndarray) -> None:
-        """Drop observations ``(N,)`` bool, and frames before all remaining observations."""
+        """Drop observations, given by a mask ``(N,)``, and frames before all remaining ones."""
         assert self.observations is not None
         left = ~gone
         row = np.append(np.where(left, np.cumsum(left) - 1, -1), -1)

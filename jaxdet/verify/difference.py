@@ -46,7 +46,7 @@ class FrameDifference(NamedTuple):
     only_b: tuple[Found, ...]
     """Obstacles of the second run that the first did not find."""
     changed: tuple[tuple[Found, Found], ...]
-    """Obstacles of both with different values."""
+    """Pairs of matched obstacles, one of each run, with different values."""
     columns: tuple[str, ...]
     """Columns of the frame that differ."""
 
@@ -54,7 +54,7 @@ class FrameDifference(NamedTuple):
     def moved_m(self) -> float:
         """Largest change of the distance of a matched obstacle [m].
 
-        If the floor is unknown to one of the runs, the change of its depth is used.
+        If one of the runs does not know the floor, the change of the obstacle's depth is used.
         """
         return max((_moved(a, b) for a, b in self.changed), default=0.0)
 
@@ -64,7 +64,9 @@ class LogDifference:
     """Differences between two results of a log."""
 
     a: ResultLog
+    """Log in the first run."""
     b: ResultLog
+    """Log in the second run."""
     frames: int = 0
     """Number of frames in both results."""
     only_a: int = 0
@@ -93,6 +95,7 @@ class Difference:
     only_b: list[str]
     """Logs only in the second run."""
     logs: list[LogDifference]
+    """Logs in both runs."""
 
     @property
     def equal(self) -> bool:
@@ -166,7 +169,7 @@ def _log_difference(a: Results, b: Results, log_a: ResultLog, log_b: ResultLog) 
 def _by_number(
     a: Iterator[Frame], b: Iterator[Frame]
 ) -> Iterator[tuple[Frame | None, Frame | None]]:
-    """Yield the frames of two logs side by side; None if a log lacks the other's frame."""
+    """Yield pairs of frames with the same number; one is None if its log lacks the frame."""
     one, other = next(a, None), next(b, None)
     while one is not None or other is not None:
         numbers = [np.inf if frame is None else frame.row["frame"] for frame in (one, other)]

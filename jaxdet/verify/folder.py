@@ -35,7 +35,7 @@ def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> R
         sample: Number of frames per log to compute again, evenly spaced.
 
     Returns:
-        Report; errors in the results are findings, too.
+        Report; unreadable results are also findings, not exceptions.
 
     Raises:
         InputError: The folder does not exist, or ``against`` has a log that is not in the results.

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxdet.engine import decide_planes
-from jaxdet.engine.color import method_frames
+from jaxdet.engine.detected import color_to_read, detected
+from jaxdet.engine.device import OwnDevice
 from jaxdet.engine.floors import evenly
 from jaxdet.errors import FrameStatus, JaxdetError
 from jaxdet.export.recordings import open_modes, some
 from jaxdet.floor.plane import unknown_plane
 from jaxdet.io import Log, LogFiles, open_log
-from jaxdet.pipeline import detect
 from jaxdet.results.manifest import fingerprint
 from jaxdet.results.reading import ResultLog, Results
-from jaxdet.results.rows import batch_rows, no_inputs, row_inputs
+from jaxdet.results.rows import batch_rows, no_inputs
 from jaxdet.results.schemas import OBSTACLES_SCHEMA
 from jaxdet.results.tables import Tables
 from jaxdet.results.writer import table_bytes
@@ -84,7 +84,7 @@ def check_log(
                     _check_sample(results, log, opened, sample, found)
         except JaxdetError as error:
             found.add("log", log.label, str(error))
-        if not found.findings:  # with findings, repeat by a scan, as the run may have needed one
+        if not found.findings:  # otherwise repeat with a scan, as the run may have needed one
             break
     report.findings += found.findings
     report.frames_of_logs += found.frames_of_logs
@@ -127,18 +127,17 @@ def _check_sample(
         return
     planes = decide_planes(opened, config, "reference", wanted)
     # obstacle columns without tracks
-    for chunk in some(results, log, wanted, OBSTACLES_SCHEMA.names):
-        again = chunk.frames["frame"].to_pylist()
-        batch = opened.read(again, color=config.cluster.points, need_color=config.cluster.points)
-        stamps = batch.frames.stamp_ns
-        plane = planes.of(stamps)
-        frames = method_frames(batch.frames._replace(plane=plane), config)
-        found = row_inputs(detect(frames, config, backend="reference"))
-        given = plane, planes.sources(stamps), found, config
+    chunks = some(results, log, wanted, OBSTACLES_SCHEMA.names)
+    read = color_to_read(config)
+    batches = ((chunk, opened.read(chunk.frames["frame"].to_pylist(), **read)) for chunk in chunks)
+    for chunk, batch, found in detected(batches, planes, OwnDevice(config, "reference")):
+        plane, stamps = batch.frames.plane, batch.frames.stamp_ns
+        assert plane is not None
+        given = plane, planes.sources(stamps), found.inputs, config
         rows = batch_rows(log.name, log.camera, batch, *given)
         want = Tables.of(rows.frames, rows.obstacles)
         _compare(log, want, chunk, report)
-        report.frames_again += len(again)
+        report.frames_again += chunk.frames.num_rows
 
 
 def _compare(log: ResultLog, want: Tables, found: Tables, report: Report) -> None:
@@ -154,7 +153,7 @@ def _compare(log: ResultLog, want: Tables, found: Tables, report: Report) -> Non
 
 
 def _different(want: "pa.Table", found: "pa.Table") -> list[str]:
-    """Return the columns of ``found`` that would be written as other bytes."""
+    """Return the columns of ``found`` that, written as bytes, differ from those of ``want``."""
     if want.num_rows != found.num_rows:
         return ["number of rows"]
     if table_bytes(want.select(found.column_names)) == table_bytes(found):

@@ -8,10 +8,11 @@ class Finding(NamedTuple):
     """A problem found in the results."""
 
     check: str
-    """``files``, ``tables``, ``tracks``, ``log`` or ``sample``."""
+    """Name of the check: ``files``, ``tables``, ``tracks``, ``log`` or ``sample``."""
     where: str
-    """File of the results, log, or file of a log."""
+    """Name of the file in the results, of the log, or of the log's file."""
     problem: str
+    """Description of the problem."""
 
     def __str__(self) -> str:
         return f"{self.where}: {self.problem}"

@@ -26,7 +26,7 @@ def draw_differences(
     """Draw frames of two runs side by side, as ``LOG_000012.png``, the first run on the left.
 
     Args:
-        runs: Both runs, whose existing pictures are used.
+        runs: Both runs. If a run has a picture of a frame, it is used.
         chosen: Logs, each with the frame numbers to draw.
         folder: Folder to create.
         given: Files, folders or globs with logs that were moved.

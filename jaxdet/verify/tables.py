@@ -88,7 +88,7 @@ _NUMBERS = ("num_obstacles", "overflow", "camera_pitch_rad", "camera_roll_rad")
 
 
 def _problems(chunk: Tables) -> set[str]:
-    """Return inconsistencies between obstacles and frames."""
+    """Describe the inconsistencies between rows of obstacles and rows of frames."""
     found, count = set(), chunk.frames["num_obstacles"].to_numpy()
     labels = np.arange(chunk.obstacles.num_rows) - np.repeat(chunk.first[:-1], count)
     if not np.array_equal(chunk.obstacles["obstacle"].to_numpy(), labels):
@@ -100,7 +100,7 @@ def _problems(chunk: Tables) -> set[str]:
 
 
 def _gap(results: Results, numbers: np.ndarray) -> str:
-    """Return the first missing, repeated or misplaced frame; empty if there is none."""
+    """Describe the first missing, repeated or misplaced frame; empty if there is none."""
     options = results.log_options
     if not numbers.size:
         return ""

@@ -13,11 +13,11 @@ from jaxdet.verify.report import Report
 
 
 def check_tracks(results: Results, names: Collection[str], report: Report) -> None:
-    """Link the obstacles again, and compare the files byte for byte.
+    """Link the obstacles again, and compare the files of tracks byte for byte.
 
     Args:
         results: Results.
-        names: Names of their files; files with findings are not compared again.
+        names: Names of the files in the manifest; files with findings are not compared again.
         report: Report to add to.
     """
     folder = results.folder

@@ -1,7 +1,7 @@
-"""Obstacles of a live depth camera.
+"""Detect obstacles in the images of a live depth camera.
 
-The source is any iterator of depth images (uint16). ``realsense`` is one for Intel's cameras:
-pip install pyrealsense2.
+The source is any iterator of depth images (uint16). :func:`realsense` returns one for Intel's
+cameras; it needs ``pip install pyrealsense2``.
 """
 
 import time
@@ -13,7 +13,7 @@ import jaxdet
 
 
 def watch(source: Iterable[np.ndarray], detector: jaxdet.Detector, stop_at_m: float = 0.5) -> None:
-    """Print what is near, and how long finding it took."""
+    """Print the distance of the nearest obstacle and the processing time of each image."""
     for number, depth in enumerate(source):
         start = time.perf_counter()
         found = detector(depth)
@@ -24,7 +24,7 @@ def watch(source: Iterable[np.ndarray], detector: jaxdet.Detector, stop_at_m: fl
 
 
 def realsense() -> tuple[np.ndarray, float, Iterator[np.ndarray]]:
-    """Return the camera matrix, metres in a unit of depth, and depth images without end."""
+    """Return the camera matrix, the depth unit [m], and an endless iterator of depth images."""
     import pyrealsense2 as rs
 
     pipeline, config = rs.pipeline(), rs.config()

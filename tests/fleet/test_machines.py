@@ -154,7 +154,7 @@ def fleet(cluster, bucket, cluster_environment, monkeypatch, tmp_path):
 
 
 @pytest.mark.filterwarnings("default")
-def test_ray_retries_after_a_killed_worker_and_fails_a_log_that_always_kills(fleet, put):
+def test_ray_retries_after_a_killed_worker_and_fails_a_log_that_kills_every_worker(fleet, put):
     logs = dict.fromkeys(names(6), "sleep=0.2")
     put(fleet.logs, **logs, once="kill=1", always="kill=99")
     found = fleet.run(on="ray")

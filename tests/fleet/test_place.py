@@ -161,7 +161,7 @@ def test_a_bucket_without_logs_is_an_error(stores):
         list_logs("s3://bucket/nothing")
 
 
-def test_shares_are_a_partition_independent_of_other_logs():
+def test_each_log_is_in_one_share_that_does_not_depend_on_other_logs():
     logs = [{"name": f"log{i}"} for i in range(100)]
     shares = [share_of(logs, f"{k}/7") for k in range(1, 8)]
     assert sorted(log["name"] for share in shares for log in share) == sorted(

@@ -90,7 +90,7 @@ def test_a_crash_at_any_step_leaves_old_or_new_results(url, tmp_path, monkeypatc
 
 
 def _dies(url, tmp_path, monkeypatch, step, old, before) -> bool:
-    """End publishing at a step and repeat it; return whether publishing has so many steps."""
+    """End publishing at a step and repeat it; return whether publishing has that step."""
     tmp_path.mkdir()
     results = open_results(url)
     target = target_of("r2")

@@ -75,7 +75,7 @@ def test_results_equal_those_of_one_machine(bucket, tmp_path, capsys):
     assert not [*(tmp_path / "spool").rglob("*.mcap")]
 
 
-def test_shares_into_one_folder_are_a_run_of_one_machine(tmp_path, capsys):
+def test_results_of_shares_are_recognized_by_a_run_on_one_machine(tmp_path, capsys):
     """A run on one machine recognizes the results of shares, and vice versa."""
     logs, out = tmp_path / "logs", str(tmp_path / "out")
     for seed in range(3):

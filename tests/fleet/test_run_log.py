@@ -1,4 +1,4 @@
-"""Running of logs between folders and buckets, with the stub of the engine."""
+"""Runs of logs from folders and buckets to folders and buckets, with the stub of the engine."""
 
 import json
 import os
@@ -62,7 +62,9 @@ def test_update_runs_failed_and_changed_logs_again(stores, engine, how, put, tmp
     assert len(kept) == 2  # current.json and one attempt
 
 
-def test_another_configuration_is_refused_unless_it_overwrites(stores, engine, how, put, tmp_path):
+def test_another_configuration_is_refused_unless_results_are_overwritten(
+    stores, engine, how, put, tmp_path
+):
     put(LOGS, a="a", b="b")
     run_fleet([LOGS], RESULTS, how)
     other = {**how, "config": {"ground": {"step_height_m": 0.05}}}
@@ -131,7 +133,7 @@ def test_splits_of_a_recording_are_fetched_together(stores, engine, how, tmp_pat
     check_results(RESULTS, "r--r", tmp_path)
 
 
-def test_the_next_log_is_fetched_in_parallel_within_the_limit(
+def test_the_next_log_is_fetched_during_a_run_within_the_limit_of_the_spool(
     stores, engine, how, put, monkeypatch
 ):
     put(LOGS, a="a" * 1000, b="sleep=0.5 " + "x" * 890, c="c" * 100, d="d" * 5000)
@@ -229,7 +231,7 @@ def test_credentials_are_never_written_or_printed(stores, engine, how, put, monk
     assert not [text for text in texts if "topsecretvalue" in text]
 
 
-def test_tasks_are_largest_first_and_bounded():
+def test_the_largest_logs_are_first_and_a_task_has_few_logs():
     logs = [{"name": f"{i:03}", "files": [{"size": i}]} for i in range(100)]
     found = chunks(logs, 2)
     assert sorted(log["name"] for chunk in found for log in chunk) == [log["name"] for log in logs]
@@ -237,7 +239,7 @@ def test_tasks_are_largest_first_and_bounded():
     assert sum(map(len, chunks(logs[:1], 0))) == 1 and chunks([], 2) == []
 
 
-def test_tasks_require_the_smallest_node_with_cores():
+def test_tasks_request_the_resources_of_the_smallest_node():
     nodes = [
         {"Alive": True, "Resources": {}},
         {"Alive": True, "Resources": {"CPU": 8.0}},

@@ -114,7 +114,7 @@ def _number(value: float, random: Random) -> float:
 
 
 def _numbers(values: tuple[float, ...], random: Random) -> tuple[float, ...]:
-    """Return the values with one or more of them changed, or only the first ones."""
+    """Return the values with one or more of them changed, or without the last ones."""
     if not values or random.random() < 0.1:
         return values[: random.randrange(len(values) + 1)]
     found = list(values)
@@ -145,7 +145,7 @@ def _changed_camera(camera: Camera, random: Random) -> tuple[Camera, str]:
 
 
 def changed(way: str, random: Random) -> tuple[Made, str]:
-    """Return a calibration with one to three changed parts that ``way`` uses, and their names."""
+    """Return a calibration with one to three changed parts, and their names; ``way`` uses them."""
     made, names = PLAIN, []
     for _ in range(random.choice((1, 1, 2, 3))):
         part = random.choice(USED[way])

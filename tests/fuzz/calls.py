@@ -306,7 +306,7 @@ class Calls:
             argument = random.choice(list(given))
             try:
                 given[argument], part = _mutated(given[argument], random)
-            except (JaxdetError, TypeError, ValueError) as error:  # on construction
+            except (JaxdetError, TypeError, ValueError) as error:  # raised by a constructor
                 return Case(f"{name} seed {seed}", _named(error, {argument, "config"}), {})
             where.append(f"{argument}{part}")
         title = f"{name} {'+'.join(where)} seed {seed}"
@@ -325,7 +325,7 @@ def _transformed(how: Callable[..., Any], frames: Any) -> Any:
     depth = getattr(frames, "depth", None)
     plain = isinstance(depth, np.ndarray | jax.Array) and depth.dtype.kind in "biuf"
     if not plain or isinstance(depth, np.ma.MaskedArray):
-        return jaxdet.detect(frames)  # JAX refuses to trace others
+        return jaxdet.detect(frames)  # JAX itself refuses to trace other arrays
     return how(lambda depth: jaxdet.detect(frames._replace(depth=depth)))(depth)
 
 
@@ -361,7 +361,7 @@ def _call(function: Callable[..., Any], given: dict[str, Any], words: set[str]) 
 _OF_PYTHON = re.compile(
     r"argument|ind(ex|ices) must be|not a valid|frames? \[?-?[0-9]+\]? of|out of range|an integer"
 )
-"""Errors that Python raises for calls, sequences and enumerations."""
+"""Pattern of errors that Python itself raises for calls, sequences and enumerations."""
 
 
 def _named(error: Exception, words: set[str]) -> Verdict:

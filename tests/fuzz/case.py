@@ -24,7 +24,7 @@ FAILURES = {
 
 
 class Verdict(NamedTuple):
-    """How a case ended."""
+    """Verdict on a case: how it ended."""
 
     kind: str
     """``clean``, ``error``, another acceptable end, or one of :data:`FAILURES`."""
@@ -56,7 +56,7 @@ class Subject(Protocol):
 def ended(
     function: Callable[[], Verdict], allowed: tuple[type[Exception], ...] = (JaxdetError,)
 ) -> Verdict:
-    """Call a function; return its verdict, or that of its exception or of too much CPU time."""
+    """Call a function; return its verdict, or one on its exception or on too much CPU time."""
     start = time.process_time()
     try:
         with warnings.catch_warnings():

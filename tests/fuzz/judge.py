@@ -53,7 +53,7 @@ def _read(
         about = log.described(total(batch.notes for batch in batches))
         messages = [*about.warnings, *(file.text for file in about.integrity)]
         same = log.calibration == truth.calibration
-        if not log.has_color and log.color_problem:  # without its calibration
+        if not log.has_color and log.color_problem:  # the calibration of colour was damaged
             same = log.calibration == truth.calibration._replace(color=None, color_from_depth=None)
         recovered = any(file.recovered for file in log.description.integrity)
         for batch in batches:

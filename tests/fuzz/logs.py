@@ -44,7 +44,7 @@ class Logs:
         return Case(title, judge(self._write(name, files), truth, name, mutation), files)
 
     def _write(self, name: str, files: Files) -> Path:
-        """Write a log to the folder that all logs of its format use; keep files that are equal."""
+        """Write a log to the folder that all logs of its format use, except unchanged files."""
         folder, there = self._folder / name, self._there.setdefault(name, {})
         for file in there.keys() - files.keys():
             (folder / file).unlink()

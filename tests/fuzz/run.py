@@ -28,15 +28,16 @@ SUBJECTS = {
 }
 """Class of each subject, by the module in this package."""
 MOST_BYTES = 4 << 30
-"""Limit of writable memory above what a process has at first. Addresses that threads only reserve,
-64 MiB for each of up to eight allocators per core, do not count, so it fits any number of cores."""
+"""Writable memory that a process may use in addition to that at its start [bytes]. Addresses that
+threads only reserve, 64 MiB for each of up to eight allocators per core, do not count, so the limit
+suits any number of cores."""
 DIES_AFTER_S = 120
 BLOCK = 500
 """Number of seeds that a process handles before it is replaced."""
 
 
 def make(name: str, folder: Path) -> Subject:
-    """Return the fuzzed subject of a name; it writes its files into ``folder``."""
+    """Return the subject with a name; it writes its files into ``folder``."""
     return getattr(import_module(f"tests.fuzz.{name}"), SUBJECTS[name])(folder)
 
 
@@ -91,7 +92,7 @@ class Crew:
     Args:
         name: Name of the subject.
         seeds: Seeds to process.
-        until: Time of the end, by the monotonic clock.
+        until: Time at which work ends, by the monotonic clock [s].
         corpus: Folder for failures.
     """
 
@@ -125,7 +126,7 @@ class Crew:
             seeds = self._try(core, seeds)
 
     def _try(self, core: int, seeds: range) -> range:
-        """Process seeds in a new process; return the seeds after one that killed it."""
+        """Process seeds in a new process; return those after a seed that killed the process."""
         at, ends = self._context.Value("q", seeds[0]), self._context.SimpleQueue()
         job = self._name, core, seeds, self._until, self._corpus, at, ends
         process = self._context.Process(target=work, args=job)

@@ -31,7 +31,7 @@ WORKERS = 1, 1, 1, 1, 1, 1, 1, 2
 """Numbers of workers to choose from."""
 TICKS = os.sysconf("SC_CLK_TCK")
 SLACK_S = 0.05
-"""Uncertainty of the times of signals and of renamed folders [s]."""
+"""Uncertainty of the time of a signal, and of the time at which a folder is renamed [s]."""
 INTERRUPTED = 128 + signal.SIGINT
 
 

@@ -21,12 +21,12 @@ _MODELS = {
 
 
 def align(depth: np.ndarray, calibration: Calibration) -> np.ndarray:
-    """One depth image ``(Hd, Wd)`` uint16 aligned to colour, ``(H, W)`` uint16."""
+    """Return one depth image ``(Hd, Wd)`` uint16 aligned to colour, ``(H, W)`` uint16."""
     return aligned(aligner(), framesets(depth[None], calibration))[0]
 
 
 def aligner() -> Callable[[Any], Any]:
-    """librealsense's processing block; it keeps its tables from one frame to the next."""
+    """Return librealsense's block for alignment; it keeps its tables from frame to frame."""
     return rs.align(rs.stream.color).process
 
 
@@ -36,7 +36,7 @@ def aligned(process: Callable[[Any], Any], pairs: list[Any]) -> np.ndarray:
 
 
 def framesets(depth: np.ndarray, calibration: Calibration) -> list[Any]:
-    """Depth images ``(B, Hd, Wd)`` uint16, each paired with a black colour image by the syncer."""
+    """Return depth images ``(B, Hd, Wd)`` uint16, each paired with a black colour image."""
     device = rs.software_device()
     sensors = device.add_sensor("Depth"), device.add_sensor("Color")
     sensors[0].add_read_only_option(rs.option.depth_units, calibration.depth_unit)
@@ -64,7 +64,7 @@ def framesets(depth: np.ndarray, calibration: Calibration) -> list[Any]:
             if pair.size() == 2 and pair.get_depth_frame().get_frame_number() == number:
                 pair.keep()
                 return pair
-        raise RuntimeError("the syncer gave no pair")
+        raise RuntimeError("the syncer returned no pair of images")
 
     try:
         return [send(image, black) for image in depth]

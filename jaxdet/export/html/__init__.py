@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from jaxdet.results.reading import ResultLog, Results
 
 MOST_ROWS = 24
-"""Maximum number of obstacles listed per frame, the nearest."""
+"""Maximum number of obstacles listed per frame; the nearest are listed."""
 MOST_MAPS = 24
-"""Maximum number of maps, of the logs with most frames."""
+"""Maximum number of maps on the page; those of the logs with the most frames are shown."""
 FRAME_COLUMNS = (
     *("stamp_ns", "status", "overflow", "drop_m", "floor_source", "floor_refused"),
     *("camera_height_m", "camera_pitch_rad", "camera_roll_rad"),
@@ -45,7 +45,8 @@ OBSTACLE_COLUMNS = (
 )
 CHUNK_FRAMES = 1 << 14
 DIGITS = 6
-"""Decimals of metres: the precision of float32, so that rounded values agree with pictures."""
+"""Number of decimals of lengths in metres. It is the precision of float32, so that values rounded
+further on the page agree with those in pictures."""
 
 
 def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"]) -> list[str]:
@@ -57,8 +58,8 @@ def export(results: "Results", output: Path, recordings: Mapping[str, "LogFiles"
     Args:
         results: Results.
         output: File.
-        recordings: Logs of the results; others are read from their original paths. Frames of the
-            gallery without a picture are drawn from them.
+        recordings: Logs of the results by name, from which pictures missing in the gallery are
+            drawn; other logs are read from their original paths.
 
     Returns:
         A line for each log with frames that can't be drawn.
@@ -124,7 +125,7 @@ def _draw(
     """Draw the frames that have a result but no picture.
 
     Returns:
-        A line for each log that was not given and can't be read at its original path.
+        A line for each log that was not passed and can't be read at its original path.
     """
     undrawn = []
     for log in results.logs:
@@ -150,7 +151,7 @@ def _draw(
 
 
 def _mapped(results: "Results") -> set[str]:
-    """Return the logs whose maps are shown."""
+    """Return the labels of the logs whose maps are shown on the page."""
     some = [log for log in results.logs if log.summary["map"]]
     some.sort(key=lambda log: -log.num_frames)
     return {log.label for log in some[:MOST_MAPS]}
@@ -271,7 +272,7 @@ def _frame(row: Mapping[str, Any], parts: list[dict[str, Any]], begin: int) -> d
 
 
 def _obstacle(part: Mapping[str, Any]) -> list[Any]:
-    """Return label, distance, bottom, top, width and depth of the outline, number of cells."""
+    """Return label; distance, bottom, top, width and depth of the outline [m]; number of cells."""
     corners = np.reshape(part["corners_ground"], (4, 2))
     wide, deep = (float(np.hypot(*(corners[i + 1] - corners[i]))) for i in (0, 1))
     metres = (part["distance_m"], part["bottom_m"], part["top_m"], wide, deep)

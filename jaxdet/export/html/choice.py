@@ -19,14 +19,17 @@ Key = tuple[str, int]
 
 
 def choose(figures: Sequence[LogFigures], pictures: Iterable[Key]) -> dict[Key, list[str]]:
-    """Choose frames of interest, each with its kinds, in the order of the tables.
+    """Choose frames for the gallery.
 
-    What is near, or many, depends on the logs: at most a tenth of the frames are marked as nearest,
-    and a tenth as most obstacles if they have more obstacles than the mean of their log.
+    At most a tenth of the frames are marked as nearest, and at most a tenth as most obstacles; the
+    latter have more obstacles than the mean of their log.
 
     Args:
         figures: Statistics of each log.
         pictures: Frames with a picture.
+
+    Returns:
+        Kinds of each chosen frame, in the order of the tables.
     """
     kinds: dict[Key, list[str]] = {}
 

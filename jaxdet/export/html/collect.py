@@ -11,18 +11,19 @@ if TYPE_CHECKING:
     from jaxdet.results.reading import Results
 
 MOST_BINS = 512
-"""Maximum number of bins of a timeline; a bin of a longer log is several frames, with their nearest
-obstacle."""
+"""Maximum number of bins of a timeline; in a longer log, a bin contains several frames and shows
+the nearest of their obstacles."""
 LOST_KEPT = 12
 """Maximum number of frames without a result that are listed per log, and of frames with an
 overflow; the first ones are listed.
 """
 HISTOGRAM_BINS = 41
-"""Number of bins; the last one is open."""
+"""Number of bins of a histogram; the last one has no upper edge."""
 NEAR_M = (1.0, 0.5)
-"""Distances below which obstacles are counted separately, as they may not be bin edges [m]."""
+"""Distances below which obstacles are counted [m], in addition to the histogram, as its bins may
+have other edges."""
 APART = 20
-"""Notable frames are separated by this fraction (1 / APART) of their log."""
+"""Notable frames are at least 1 / ``APART`` of their log apart."""
 CHUNK_FRAMES = 1 << 16
 """Number of frames read at once."""
 FRAME_COLUMNS = ("frame", "stamp_ns", "status", "overflow")
@@ -34,11 +35,11 @@ class Columns(NamedTuple):
     frame: np.ndarray
     """Frame numbers ``(n,)`` int64."""
     stamp_ns: np.ndarray
-    """Timestamps ``(n,)`` int64."""
+    """Timestamps ``(n,)`` int64 [ns]."""
     status: np.ndarray
     """Status ``(n,)`` str objects."""
     overflow: np.ndarray
-    """Overflow ``(n,)`` bool."""
+    """Whether obstacles may be missing, ``(n,)`` bool."""
     obstacles: np.ndarray
     """Number of obstacles, ``(n,)`` int64."""
     distance_m: np.ndarray
@@ -47,7 +48,7 @@ class Columns(NamedTuple):
 
     @property
     def nearest_m(self) -> np.ndarray:
-        """Distance of the nearest obstacle, ``(n,)`` float64; inf without a known one."""
+        """Distance of the nearest obstacle, ``(n,)`` float64 [m]; inf if no distance is known."""
         nearest, some = np.full(len(self.frame), np.inf), self.obstacles > 0
         first = (np.cumsum(self.obstacles) - self.obstacles)[some]
         if first.size:
@@ -89,7 +90,7 @@ class Timeline:
         return len(self.most)
 
     def add(self, rows: Columns) -> None:
-        """Append rows of the log."""
+        """Add the next frames of the log."""
         nearest = rows.nearest_m
         index = (self.count + np.arange(len(nearest))) // self.stride
         self.count += len(nearest)
@@ -126,7 +127,7 @@ class Timeline:
 
 
 def _best(index: np.ndarray, cost: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return the row of least cost in each bin, the first in a tie; ``first`` begins each bin."""
+    """Return the row of least cost in each bin, the first if tied; ``first``: first row per bin."""
     order = np.lexsort((np.arange(len(cost)), cost, index))
     return order[first]
 
@@ -144,7 +145,7 @@ class LogFigures:
     per_frame: np.ndarray = field(default_factory=lambda: np.zeros(HISTOGRAM_BINS, np.int64))
     """Histogram of the distance to the nearest obstacle of each frame; its last bin is open."""
     per_obstacle: np.ndarray = field(default_factory=lambda: np.zeros(HISTOGRAM_BINS, np.int64))
-    """Histogram of all distances."""
+    """Histogram of the distances to all obstacles; its last bin is open."""
     near_frames: np.ndarray = field(default_factory=lambda: np.zeros(len(NEAR_M), np.int64))
     """Frames whose nearest obstacle is nearer than each of :data:`NEAR_M`."""
     near_obstacles: np.ndarray = field(default_factory=lambda: np.zeros(len(NEAR_M), np.int64))
@@ -155,7 +156,7 @@ class LogFigures:
     """Numbers of the first frames with an overflow."""
 
     def add(self, rows: Columns) -> None:
-        """Append rows of the log."""
+        """Add the next frames of the log."""
         self.timeline.add(rows)
         if self.start_ns is None:
             self.start_ns = int(rows.stamp_ns[0])

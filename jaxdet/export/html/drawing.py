@@ -15,11 +15,11 @@ from jaxdet.results.rows import shown_planes
 def draw_again(
     results: Results, log: ResultLog, files: LogFiles, wanted: Sequence[int]
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Draw frames.
+    """Draw frames of a log.
 
     Args:
         results: Results.
-        log: One of its logs.
+        log: A log of the results.
         files: Files of the log.
         wanted: Frame numbers.
 

@@ -33,9 +33,9 @@ def read_picture(path: Path) -> np.ndarray:
     """Read a picture of a results folder, ``(h, w, 3)`` uint8 BGR.
 
     Raises:
-        InputError: It can't be read, or is not a picture.
+        InputError: The file can't be read, or is not a picture.
     """
-    remedy = "remove it, then it is drawn from the log, or run jaxdet run again"
+    remedy = "remove it, so that it is drawn from the log, or run jaxdet run again"
     try:
         data = np.frombuffer(path.read_bytes(), np.uint8)  # imread would print warnings
     except OSError as error:

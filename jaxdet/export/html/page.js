@@ -1,5 +1,5 @@
 "use strict";
-// Draws the report from the JSON beside it. Text from logs only ever becomes text nodes.
+// Draws the report from the JSON in the page. Texts from logs only ever become text nodes.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const $ = (id) => document.getElementById(id);
@@ -52,7 +52,7 @@
     return node;
   }
 
-  // What is chosen above: one log, or all of them.
+  // Index of the log chosen above, -1 for all logs.
   let only = -1;
   const logs = () => data.logs.map((_, i) => i).filter((i) => only < 0 || i === only);
   const picked = () => logs().map((i) => data.logs[i]);
@@ -115,7 +115,8 @@
     tip.style.top = `${Math.max(4, y - box.height - 12)}px`;
   }
   const hideTip = () => { tip.hidden = true; };
-  // A pointer that rests is said to move when what is under it changes, as when the dialog closes.
+  // Browsers report a move of a resting pointer if the page changes below it, for instance when the
+  // dialog closes.
   let pointer = "", rests = false;
   document.addEventListener("pointermove", (e) => {
     const here = `${e.clientX} ${e.clientY}`;
@@ -145,14 +146,14 @@
     const log = data.logs[index], { nearest, frame, time, lost, most } = log.bins, n = nearest.length;
     const W = Math.max(320, Math.min(1140, parent.clientWidth)), H = W < 560 ? 132 : 150;
     const left = 38, right = W - 8, top = 8, bottom = H - 24;
-    // By time where the stamps go forward, else by number.
+    // The horizontal axis is time if the timestamps increase, else the frame number.
     const begin = time[0], span = time[n - 1] - begin;
     const forward = span > 0 && time.every((t, b) => !b || t >= time[b - 1]);
     const pad = Math.min(6, (right - left) / (2 * n));
     const part = (b) => (forward ? (time[b] - begin) / span : n > 1 ? b / (n - 1) : 0.5);
     const x = (b) => left + pad + part(b) * (right - left - 2 * pad);
     const gaps = time.slice(1).map((t, b) => t - time[b]).sort((a, b) => a - b);
-    const hole = Math.max(0.5, 6 * (gaps[Math.floor(gaps.length / 2)] || 0)); // nothing was recorded
+    const hole = Math.max(0.5, 6 * (gaps[Math.floor(gaps.length / 2)] || 0)); // longer gaps [s] have no frames
     const y = (d) => bottom - (Math.min(d, reach) / reach) * (bottom - top);
     const box = add(parent, "div", { class: "timeline" });
     const title = add(box, "h3");
@@ -179,7 +180,7 @@
       const most = n > 1 ? Math.max(2, Math.round((right - left) / 160)) : 0;
       return Array.from({ length: most + 1 }, (_, i) => Math.round((i / (most || 1)) * (n - 1))).map((b) => [x(b), seconds(time[b])]);
     }
-    // Stretches with an obstacle as areas and lines; gaps are frames without any.
+    // Frames with an obstacle are drawn as areas and lines; gaps are frames without one.
     let run = [];
     const flush = () => {
       if (run.length) {
@@ -215,7 +216,7 @@
       if (target(b) >= 0) parts.push("picture");
       return parts.join(" · ");
     };
-    // The frame of a bin itself if it is in the report, else a picture within six pixels.
+    // The frame of a bin if it is in the report, else one with a picture within six pixels; -1: none.
     const target = (b) => {
       const own = byFrame.get(`${index} ${frame[b]}`);
       if (own !== undefined) return own;
@@ -312,7 +313,7 @@
     $("map-section").hidden = !data.logs.some((l) => l.map);
     if (!some.length) {
       const left = picked().filter((l) => l.map_file).map((l) => `${l.map_file}.png`);
-      add(node, "p", {}, left.length ? `Not one of the maps in this page; the results have it as ${left[0]}.` : "No map, see the warnings and notes.");
+      add(node, "p", {}, left.length ? `This page does not include the map; it is ${left[0]} in the results.` : "No map, see the warnings and notes.");
       return;
     }
     for (const log of some.slice(0, only < 0 ? 4 : 1)) {
@@ -365,7 +366,7 @@
     const every = sum((l) => (l.tracks ? counts[followed](l.tracks) : 0));
     const notes = rows.length ? [] : ["None."];
     if (rows.length < every) notes.push(`${many(every - rows.length, "further track")} in tracks.parquet.`);
-    if (picked().some((l) => shownTracks(l).some((t) => !t[8]))) notes.push("Without poses motion is that seen from the camera, its own included.");
+    if (picked().some((l) => shownTracks(l).some((t) => !t[8]))) notes.push("Without poses, motion is relative to the camera and includes the camera's own motion.");
     $("tracks-left").textContent = notes.join(" ");
   }
 
@@ -384,7 +385,7 @@
 
   const undrawn = () => {
     const [first, ...others] = data.undrawn;
-    return `no pictures of some: ${first}${others.length ? `, and ${many(others.length, "further log")}` : ""}`;
+    return `no pictures of some frames: ${first}${others.length ? `, and ${many(others.length, "further log")}` : ""}`;
   };
 
   function drawGallery() {
@@ -474,7 +475,7 @@
     item("overflow", f.kinds.includes("overflow") || f.overflow ? "yes" : null);
     item("stamp", f.stamp + " ns");
     if (f.reason || f.status !== "ok") add(body, "p", { class: "bad" }, f.reason || data.reasons[f.status] || f.status);
-    else if (f.refused) add(body, "p", { class: "faint" }, `The frame's own depth did not decide its floor: ${f.refused.replace("_", " ")}.`);
+    else if (f.refused) add(body, "p", { class: "faint" }, `The floor found in the frame's own depth was refused: ${f.refused.replace("_", " ")}.`);
     if (f.rows.length) {
       const wide = add(body, "div", { class: "wide" });
       table(wide, ["obstacle", "#distance", "#bottom", "#top", "#width", "#depth", "#cells"],
@@ -496,7 +497,7 @@
     if (e.key === "ArrowRight") step(1);
   });
   dialog.addEventListener("close", () => {
-    if (document.activeElement.closest(".timeline")) return; // which it was opened from
+    if (document.activeElement.closest(".timeline")) return; // it was opened from a timeline
     const origin = document.querySelector(`.card[data-frame="${current}"]`);
     if (origin) { origin.focus({ preventScroll: true }); origin.scrollIntoView({ block: "nearest", behavior: calm ? "auto" : "smooth" }); }
   });

@@ -23,8 +23,8 @@ REASONS = {
     "no_color": "The preset paper has no colour image near enough in time that can be decoded.",
     "decode_error": "The depth image could not be decoded.",
     "bad_calibration": "The images contradict the calibration of the log.",
-    "worker_crashed": "The processes that worked on it died.",
-    "timeout": "The processes that worked on it made no progress.",
+    "worker_crashed": "The processes that worked on the frame died.",
+    "timeout": "The processes that worked on the frame made no progress.",
 }
 """Meaning of each :class:`jaxdet.errors.FrameStatus` except ``ok``."""
 SOURCES = {
@@ -35,11 +35,11 @@ SOURCES = {
     "flags": "the settings",
     "none": "nowhere",
 }
-"""Meaning of ``floor_source``."""
+"""Source of a frame's floor in words, by value of the column ``floor_source``."""
 FIRST_DATE_S = 946684800
-"""Timestamps before the year 2000 are not UNIX times, and have no date [s]."""
+"""Start of the year 2000 [s]; earlier timestamps are not taken as UNIX times and have no date."""
 _LONGEST = 120
-"""Characters of a setting's value."""
+"""Maximum number of characters that are shown of a setting's value."""
 
 
 def page(title: str, data: Mapping[str, Any]) -> str:
@@ -76,7 +76,7 @@ def _in_script(data: Mapping[str, Any]) -> str:
     """Encode JSON so that it can't end its script element.
 
     Raises:
-        InputError: A number is not finite, which no table of jaxdet has where the page needs one.
+        InputError: A number is not finite, although the columns used here never contain such ones.
     """
     try:
         text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
@@ -98,14 +98,16 @@ def changed_settings(config: Mapping[str, Any], method: Config) -> list[list[str
     for section, values in plain(method).items():
         for name, value in values.items():
             if value != standard[section][name]:
-                changes.append([f"{section}.{name}", _said(value), _said(standard[section][name])])
+                changes.append(
+                    [f"{section}.{name}", _value_text(value), _value_text(standard[section][name])]
+                )
     return changes
 
 
 def given_options(options: Any, standard: Any) -> list[list[str]]:
     """Return the log options that differ from the defaults: name, value, default."""
     pairs = zip(plain(options).items(), plain(standard).values(), strict=True)
-    return [[f"log.{n}", _said(v), _said(d)] for (n, v), d in pairs if v != d]
+    return [[f"log.{n}", _value_text(v), _value_text(d)] for (n, v), d in pairs if v != d]
 
 
 def run_lines(results: "Results") -> list[list[str]]:
@@ -122,7 +124,7 @@ def run_lines(results: "Results") -> list[list[str]]:
 
 
 def about(version: str, frames: int, begins_s: Sequence[float]) -> str:
-    """Return the line below the title."""
+    """Return the line of text below the page's title."""
     dates = [datetime.fromtimestamp(s, UTC).date().isoformat() for s in begins_s if s]
     recorded = ""
     if dates:
@@ -131,6 +133,6 @@ def about(version: str, frames: int, begins_s: Sequence[float]) -> str:
     return f"Obstacles of {frames:,} frames, found by jaxdet {version}{recorded}."
 
 
-def _said(value: Any) -> str:
+def _value_text(value: Any) -> str:
     text = "–" if value is None else value if isinstance(value, str) else json.dumps(value)
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # a mask has many numbers

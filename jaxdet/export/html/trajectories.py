@@ -20,15 +20,16 @@ def track_rows(results: "Results", log: "ResultLog", begin_ns: int) -> dict[str,
 
     Args:
         results: Results of a run.
-        log: One of its logs.
+        log: A log of the results.
         begin_ns: Timestamp to which times are relative [ns].
 
     Returns:
-        The numbers of tracks, ``moving`` and ``standing``, and ``rows`` with number, whether it
-        moves, begin and duration [s], mean and maximum speed [m/s], length and width [m], and the
-        trajectory in the world, alternating x and y [m], or null without poses, persistence,
-        share of floor, and whether the known map has it. ``new`` is the number of tracks that it
-        lacks, null without a known map. None without tracks.
+        None if the log has no tracks, else ``moving`` and ``standing``, the numbers of tracks;
+        ``new``, the number of tracks that are not in the known map (None without a map); and
+        ``rows``, one per listed track: number, whether it moves, begin and duration [s], mean and
+        maximum speed [m/s], length and width [m], trajectory in the world with alternating x and y
+        [m] (None without poses), persistence, fraction of frames that show floor at its place, and
+        whether it is in the known map.
     """
     if not results.tracked(log):
         return None

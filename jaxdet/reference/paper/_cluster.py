@@ -10,15 +10,15 @@ from jaxdet.types import Features, Labels
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     """Group the kept features of each frame into obstacles (Eq. 6, Section 3.4).
 
-    Sorted by depth, neighbours with ``|P_n - P_n+1| <= d_z`` share a set; sets of N points or fewer
-    are dropped. Each set is split in the same way along x with ``d_x``, and sets of N points or
-    fewer are dropped again. This is single-linkage clustering on a line, twice (Steps 1-5; the
+    Sorted by depth, neighbours with ``|P_n - P_n+1| <= d_z`` share a set; sets of ``min_points``
+    points or fewer are dropped. Each set is split in the same way along x with ``d_x``, and such
+    small sets are dropped again. This is single-linkage clustering on a line, twice (Steps 1-5; the
     printed Algorithm 1 compares only with the set's seed, which contradicts Step 3).
 
     Args:
         features: Points ``(B, N)``; only ``kept`` ones are clustered.
         depth_unit: Metres per depth unit.
-        config: Gaps and N in its ``cluster`` part.
+        config: Configuration, of which the gaps and ``min_points`` of ``cluster`` are used.
 
     Returns:
         Labels in the order of nearest z, then smallest x, then first slot; -1 for no obstacle.

@@ -60,7 +60,7 @@ def strongest_corners(
 
     Args:
         strength: Strengths ``(H, W)`` float32, from :func:`corner_strength`.
-        max_corners: Stop after this many; 0 = no limit.
+        max_corners: Maximum number of corners; 0 = no limit.
         quality_level: Minimum strength as a fraction of the strongest corner's.
         min_distance: Minimum distance between corners [pixel]; below 1: no minimum.
 

@@ -30,7 +30,7 @@ def footprint(
 
     Args:
         features: Points ``(B, N)``.
-        labels: Their obstacles.
+        labels: Obstacle of each point.
         plane: Floor of each frame, for the axes of the ground frame.
         depth_unit: Metres in one depth unit.
         config: Configuration, of which ``footprint`` is used; ``M`` follows from N and
@@ -46,7 +46,11 @@ def footprint(
 
 
 def _nearest(labels: Labels, floor: np.ndarray, slots: int) -> np.ndarray:
-    """Return squared distances of the obstacles' nearest points, ``(B, M, 2)``: divmod by 2^18."""
+    """Return the squared distance of each obstacle's nearest point, as a divmod by 2^18.
+
+    Returns:
+        Quotient and remainder, ``(B, M, 2)`` int32.
+    """
     squared = (floor.astype(np.int64) ** 2).sum(axis=-1)
     nearest = np.zeros((len(floor), slots), np.int64)
     for b, count in enumerate(labels.num_obstacles):

@@ -56,7 +56,7 @@ def build_model(kind: str, seed: int, phase: float = 0.0) -> Mesh:
         phase: Gait phase [rad].
 
     Raises:
-        ConfigError: There is no such model.
+        ConfigError: The model is unknown.
     """
     if kind not in KINDS:
         raise ConfigError(f"unknown model {kind!r}", remedy=f"use {', '.join(KINDS)}")

@@ -88,7 +88,10 @@ def _clothes(rng: np.random.Generator) -> tuple[Texture, Texture, Texture, Textu
 
 
 def _trunk(girth: float, shirt: Texture, trousers: Texture) -> list[Mesh]:
-    """Build hips and chest of elliptic rings: height, half width and half depth in statures."""
+    """Build hips and chest from elliptic rings.
+
+    A ring is given by its height, half width and half depth, as fractions of the stature.
+    """
     hips = [
         (0.475, 0.070, 0.055),
         (0.50, 0.098, 0.070),

@@ -2,7 +2,7 @@
 
 Dimensions of small and compact cars: length 3.6-4.5 m, width 1.65-1.82 m, height 1.45-1.55 m,
 wheelbase about 0.61 of the length, ground clearance 0.15 m, wheels 0.60-0.65 m (data sheets of the
-VW Polo and Golf, Toyota Yaris and Corolla). It faces along x.
+VW Polo and Golf, Toyota Yaris and Corolla). The car faces along x.
 """
 
 import numpy as np

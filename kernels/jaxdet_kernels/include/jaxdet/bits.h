@@ -6,23 +6,31 @@ namespace jaxdet { namespace {
 
 struct BitRows {
     enum { WIDTH = 32 };
-    // Number of rows; number of words per row that hold cells; binary logarithm of the row length in
+    // Size of the grid; number of words per row that hold cells; binary logarithm of the row length in
     // words, with padding. Bits after the last cell of a row are 0.
-    int rows, words, shift;
+    int rows, columns, words, shift;
     unsigned* bits;
 
+    BitRows() = default;
     BitRows(int rows, int columns, int* place)
-        : rows(rows), words((columns + WIDTH - 1) / WIDTH), shift(0), bits((unsigned*)place) {
+        : rows(rows), columns(columns), words((columns + WIDTH - 1) / WIDTH), shift(0),
+          bits((unsigned*)place) {
         while (1 << shift < words) ++shift;
     }
 
     int count() const { return rows << shift; }
     unsigned& operator[](int i) const { return bits[i]; }
     // `at` is the index of word w of row r; `row` is the row of word i; `column` is the column of the
-    // first cell of word i.
+    // first cell of word i, `cells` the number of its cells, and `cell` the index of the cell of bit k in
+    // the grid.
     int at(int r, int w) const { return r << shift | w; }
     int row(int i) const { return i >> shift; }
     int column(int i) const { return (i & ((1 << shift) - 1)) * WIDTH; }
+    int cell(int i, int k) const { return row(i) * columns + column(i) + k; }
+    int cells(int i) const {
+        const int left = columns - column(i);
+        return left < 0 ? 0 : left < WIDTH ? left : (int)WIDTH;
+    }
 
     // The bits of the neighbours of the cells of word i, one neighbour per cell: the previous or the
     // next cell in the row, or the cell above or below. Cells outside the grid have bit 0.
@@ -58,16 +66,6 @@ struct BitRows {
 #endif
         unsigned word = 0;
         for (int k = 0; k < n && k < WIDTH; ++k) word |= (unsigned)(bytes[k] >> shift & 1) << k;
-        return word;
-    }
-
-    // Sets bit k of a word if label k of n labels is at least 0; n is at most WIDTH.
-    static unsigned labelled(const int* labels, int n) {
-#if defined(__clang__) && !defined(__CUDA_ARCH__)
-        if (n >= WIDTH) return packed(*(const Vectors::Wide*)labels >= 0);
-#endif
-        unsigned word = 0;
-        for (int k = 0; k < n && k < WIDTH; ++k) word |= (unsigned)(labels[k] >= 0) << k;
         return word;
     }
 

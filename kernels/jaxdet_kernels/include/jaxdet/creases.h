@@ -133,46 +133,6 @@ struct Creases {
         }
         team.sync();
     }
-
-    // Finds the cells where depth bends more than the limit. A warp processes one word at a time.
-    void find(const Team& team) const {
-        const Warp warp(team);
-        const int words = found.words, count = grid.rows * words;
-        found.clear_padding(team);
-        for (int first = warp.index; first < count; first += AHEAD * warp.count) {
-            int here[AHEAD], before[AHEAD], after[AHEAD], up[AHEAD], down[AHEAD], d[AHEAD];
-            bool on[AHEAD];
-            for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * warp.count < count ? first + k * warp.count : first;
-                const int r = i / words, c = i % words * BitRows::WIDTH + warp.lane;
-                on[k] = kept[kept.at(r, i % words)] >> warp.lane & 1;
-                const int row = on[k] ? r : 0, column = on[k] ? c : 0;
-                const int at = grid.row(row) + column, none = grid.row(-1);
-                const bool inside = row >= reach && row + reach < grid.rows;
-                here[k] = smooth[at];
-                before[k] = smooth[at - reach];
-                after[k] = smooth[at + reach];
-                up[k] = smooth[inside ? at - reach * grid.stride : none];
-                down[k] = smooth[inside ? at + reach * grid.stride : none];
-                d[k] = z[row * grid.columns + column];
-            }
-            int near[AHEAD], limit[AHEAD];
-            for (int k = 0; k < AHEAD; ++k) {
-                near[k] = steps[d[k]];
-                limit[k] = limits[d[k]];
-            }
-            for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * warp.count;
-                const int most = reach * near[k] << BITS;
-                const int deep = limit[k] << (BITS + 1);
-                const bool bent = bends(here[k], before[k], after[k], most, deep) |
-                                  bends(here[k], up[k], down[k], most, deep);
-                const unsigned crease = warp.ballot(on[k] & bent);
-                if (i < count && warp.lane == 0) found[found.at(i / words, i % words)] = crease;
-            }
-        }
-        team.sync();
-    }
 #else
     static void smooth_row(
         const int* __restrict__ up, const int* __restrict__ here, const int* __restrict__ down,
@@ -210,33 +170,25 @@ struct Creases {
             smooth_row(here - wide, here, here + wide, step + grid.row(r), smooth + grid.row(r), n);
         }
     }
+#endif
 
-    void find(const Team&) const {
-        unsigned char bent[BitRows::WIDTH];
-        for (int i = 0; i < found.count(); ++i) {
-            found[i] = 0;
-            if (!kept[i]) continue;
-            const int r = found.row(i), c = found.column(i), left = grid.columns - c;
-            const int n = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
-            const int at = grid.row(r) + c, none = grid.row(-1) + c;
+    // Finds the cells where depth bends more than the limit. Ends in a sync.
+    void find(const Team& team) const {
+        const auto is_kept = [&](int i) { return kept[i]; };
+        Warp(team).fill(found, is_kept, [&](int i, int k) {
+            const int r = found.row(i), at = grid.row(r) + found.column(i) + k;
             // Vertical bends are measured only if there are rows at that distance above and below.
             const bool inside = r >= reach && r + reach < grid.rows;
-            const int up = inside ? at - reach * grid.stride : none;
-            const int down = inside ? at + reach * grid.stride : none;
-            const int* depths = z + r * grid.columns + c;
-            const int *here = smooth + at, *above = smooth + up, *below = smooth + down;
-#if defined(__clang__)
-#pragma clang loop vectorize(assume_safety)
-#endif
-            for (int k = 0; k < n; ++k) {
-                const int most = reach * step[at + k] << BITS, deep = limits[depths[k]] << (BITS + 1);
-                bent[k] = bends(here[k], here[k - reach], here[k + reach], most, deep) |
-                          bends(here[k], above[k], below[k], most, deep);
-            }
-            found[i] = BitRows::packed(bent, 0, n) & kept[i];
-        }
+            const int none = grid.row(-1) - grid.row(r), away = reach * grid.stride;
+            const int *const up = smooth + (inside ? -away : none);
+            const int *const down = smooth + (inside ? away : none);
+            const int d = z[found.cell(i, k)], near = Warp::size > 1 ? steps[d] : step[at];
+            const int most = reach * near << BITS, deep = limits[d] << (BITS + 1);
+            return bends(smooth[at], smooth[at - reach], smooth[at + reach], most, deep) |
+                   bends(smooth[at], up[at], down[at], most, deep);
+        });
+        team.sync();
     }
-#endif
 
     // Removes 8-connected components of fewer than `least` cells. Ends in a sync.
     void without_small(const Team& team) {

@@ -37,9 +37,10 @@ struct Evidence {
     // Number of threads that share the search for the smallest distance between two contours.
     enum { PARTS = Warp::size > 1 ? 8 : 1 };
     enum { CONTACT = 2, PERCENT = 100, FEATURES = 26 };
-    // Number of pairs whose evidence a block computes together; the number of its threads is a
+    // Number of pairs whose evidence a team computes together; on CUDA the number of its threads is a
     // multiple.
-    enum { BATCH = 64, FAST = (FEATURES + 1) * BATCH, NOT_NEAR = 1 << 30 };
+    enum { ABREAST = Trees::ABREAST, BATCH = Warp::size > 1 ? 64 : (int)ABREAST };
+    enum { FAST = FEATURES * BATCH };
     int count, lateral_gap, forward_gap, gap, no_step;
     Extents extents;
     Contours contours;
@@ -47,9 +48,9 @@ struct Evidence {
     unsigned char* near;  // scratch, (pairs): whether a pair is near enough to be evaluated
     Sum* sums;            // scratch, (pairs, Facing::SUMS): statistics of facing cells
     int *list, *listed;   // scratch: nearby pairs, and their number
+    int *close, *num_close;  // scratch: those that face each other or are close, and their number
     int* between;         // result, (count, count): evidence between surfaces
-    // FAST words of shared memory on CUDA.
-    int* fast;
+    int* fast;            // FAST words of fast memory: the features of a batch
 
     int least(int a, int b) const { return a < b ? a : b; }
     int most(int a, int b) const { return a > b ? a : b; }
@@ -57,7 +58,7 @@ struct Evidence {
     // Lists the pairs whose distance on the floor is within the gaps, and clears their sums. Ends in a
     // sync.
     void find_near(const Team& team) const {
-        if (team.rank == 0) *listed = 0;
+        if (team.rank == 0) *listed = *num_close = 0;
         team.sync();
         for (int b = 0; b < count; ++b) {
             if (b % team.size == team.rank) between[b * count + b] = 0;
@@ -87,47 +88,27 @@ struct Evidence {
             measure(team, list[item / PARTS], item % PARTS);
         }
         team.sync();
-#if defined(__CUDA_ARCH__)
-        // Compute the features of BATCH pairs at a time; then the threads share the trees of each pair.
-        int *features = fast, *weights = features + FEATURES * BATCH;
-        const int own = team.rank % BATCH, share = team.rank / BATCH, shares = team.size / BATCH;
-        for (int first = 0; first < *listed; first += BATCH) {
-            const bool some = first + own < *listed;
-            const int pair = some ? list[first + own] : 0, a = pair >> 16, b = pair & 0xffff;
-            if (share == 0) {
-                const bool near = some && write_features(a, b, features + own, BATCH);
-                weights[own] = near ? trees.offset : NOT_NEAR;
-            }
-            team.sync();
-            const bool weighs = weights[own] != NOT_NEAR;
-            team.sync();
-            if (weighs) {
-                int sum = 0;
-                trees.weigh(features + own, BATCH, share, shares, &sum);
-                team.atomic_add(weights + own, sum);
-            }
-            team.sync();
-            if (share == 0 && some) {
-                between[a * count + b] = between[b * count + a] = weighs ? weights[own] : 0;
-            }
-        }
-#else
-        enum { ABREAST = Trees::ABREAST };
-        int features[FEATURES * ABREAST] = {}, some[ABREAST], n = 0;
-        for (int item = 0; item < *listed; ++item) {
-            some[n] = list[item];
-            n += write_features(some[n] >> 16, some[n] & 0xffff, features + n, ABREAST);
-            if (n < ABREAST && item + 1 < *listed) continue;
-            int sums[ABREAST] = {};
-            trees.weigh(features, ABREAST, 0, 1, sums);
-            for (int k = 0; k < n; ++k) {
-                const int a = some[k] >> 16, b = some[k] & 0xffff;
-                between[a * count + b] = between[b * count + a] = trees.offset + sums[k];
-            }
-            n = 0;
-        }
-#endif
+        for (int item = team.rank; item < *listed; item += team.size)
+            if (is_close(list[item])) close[team.atomic_add(num_close, 1)] = list[item];
         team.sync();
+        // Features of BATCH pairs are computed at a time; then a thread adds a share of the trees of
+        // ABREAST pairs, from `own` on.
+        const int own = team.rank * ABREAST % BATCH, share = team.rank * ABREAST / BATCH;
+        const int shares = team.size * ABREAST / BATCH, all = *num_close;
+        for (int first = 0; first < all; first += BATCH) {
+            for (int k = own; share == 0 && k < own + ABREAST; ++k)
+                write_features(close[least(first + k, all - 1)], fast + k);
+            team.sync();
+            int sums[ABREAST] = {};
+            trees.weigh(fast + own, BATCH, share, shares, sums);
+            for (int k = 0; k < ABREAST && first + own + k < all; ++k) {
+                const int pair = close[first + own + k], a = pair >> 16, b = pair & 0xffff;
+                const int sum = sums[k] + (share ? 0 : trees.offset);
+                team.atomic_add(between + a * count + b, sum);
+                team.atomic_add(between + b * count + a, sum);
+            }
+            team.sync();
+        }
     }
 
     long long squared(long long a, long long b) const { return a * a + b * b; }
@@ -178,13 +159,22 @@ struct Evidence {
         return extents.top[a] != extents.top[b] ? extents.top[a] < extents.top[b] : a < b;
     }
 
-    // Writes the features of a pair of surfaces to every `stride`-th word; returns false if the surfaces
-    // are not close.
-    bool write_features(int a, int b, int* features, int stride) const {
-        const Sum* own = sums + (size_t)Pair(a, b).place * Facing::SUMS;
+    const Sum* sums_of(int pair) const {
+        return sums + (size_t)Pair(pair >> 16, pair & 0xffff).place * Facing::SUMS;
+    }
+
+    // Whether two surfaces face each other or their contours are close.
+    bool is_close(int pair) const {
+        const Sum* own = sums_of(pair);
         if (own[Facing::DISTANCE] == ~0ull) return false;
+        return facing(own) || SquareRoot::of(own[Facing::DISTANCE]) <= CONTACT * gap;
+    }
+
+    // Writes the features of a pair of surfaces to every BATCH-th word.
+    void write_features(int pair, int* features) const {
+        const int a = pair >> 16, b = pair & 0xffff;
+        const Sum* own = sums_of(pair);
         const int distance = SquareRoot::of(own[Facing::DISTANCE]);
-        if (!facing(own) && distance > CONTACT * gap) return false;
         const Sum rows = own[Facing::ROWS], columns = own[Facing::COLUMNS];
         const Sum steps = own[Facing::STEPS] >> Facing::STEP_SHIFT;
         const int agree = (int)(own[Facing::STEPS] & ((1 << Facing::STEP_SHIFT) - 1));
@@ -224,8 +214,7 @@ struct Evidence {
             PERCENT * part(rows, 1) / most(part(rows, 0), 1),
             PERCENT * part(columns, 1) / most(part(columns, 0), 1),
         };
-        for (int k = 0; k < FEATURES; ++k) features[k * stride] = all[k];
-        return true;
+        for (int k = 0; k < FEATURES; ++k) features[k * BATCH] = all[k];
     }
 };
 

@@ -32,11 +32,12 @@ struct Floor {
         ALL = 0, INNER = 1, BEFORE = 2, BEYOND = 3, ENDS = 4, NEXT = ENDS + FloorSearch::RINGS,
         COUNTS = NEXT + FloorSearch::RINGS,
         MOST_THREADS = 256,
-        // Number of words of shared memory on CUDA; five blocks fit on a multiprocessor with 228 KB.
-        SHARED = 11264
+        // Number of words of shared memory on CUDA; five blocks fit on a multiprocessor with 228 KB. The
+        // CPU has none.
+        SHARED = Warp::size > 1 ? 11264 : 1
     };
     const Team& team;
-    const int* settings;
+    const FloorSettings* settings;
     FloorAngles angles;
     FloorPlane prior;
     bool has_prior;
@@ -49,16 +50,16 @@ struct Floor {
     // Allocates the arrays. On CUDA `fast` is shared memory of SHARED words. First the arrays that are
     // always needed are placed there. Those that are used one after the other share the words that are
     // left, each if it fits.
-    Floor(const Team& team, const int* settings, const int* sines, const int* prior_in, int rows_in,
+    Floor(const Team& team, const FloorSettings* settings, const int* sines, const int* prior_in, int rows_in,
           int columns_in, Arena& arena, int* fast)
         : team(team), settings(settings), angles{sines}, prior{prior_in[0], prior_in[1], prior_in[2]},
           has_prior(prior_in[3] != 0) {
-        const int stride = settings[FloorSetting::STRIDE];
+        const int stride = settings->stride;
         const int r = part(rows_in, stride), c = part(columns_in, stride);
         most = r * c;
         most_few = ((r + 1) / 2) * ((c + 1) / 2);
         int* quick = fast;
-        room = fast ? SHARED : 0;
+        room = Warp::size > 1 ? (int)SHARED : 0;
         const auto always = [&](int words) {
             if (words > room) return arena.words(words);
             int* const place = quick;
@@ -72,7 +73,7 @@ struct Floor {
         planes = always(2 * 3 * PLANES);
         votes = always(PLANES);
         most_ramp = always(PLANES);
-        rows = always(FloorProfile::ROW_ARRAYS * (settings[FloorSetting::RUNS] + 1));
+        rows = always(FloorProfile::ROW_ARRAYS * (settings->runs + 1));
         const auto now = [&](int words) { return words <= room ? quick : arena.words(words); };
         cells = arena.words(3 * most);
         parts = arena.words(3 * most);
@@ -99,11 +100,11 @@ struct Floor {
     // Collects the measured cells of the sample in `cells`, those of every second of its rows and
     // columns in `few`, sorted by ring, and those of `few` inside the margins in `inner`.
     void take(const int* x, const int* y, const int* z, int rows, int columns) const {
-        const int stride = settings[FloorSetting::STRIDE], half = stride / 2;
+        const int stride = settings->stride, half = stride / 2;
         const int r = part(rows, stride), c = part(columns, stride);
         const Margins margins(c);
-        const int deepest = settings[FloorSetting::MAX_DEPTH];
-        const int* rings = settings + FloorSetting::RINGS;
+        const int deepest = settings->max_depth;
+        const int* rings = settings->rings;
         for (int k = team.rank; k < COUNTS; k += team.size) counts[k] = 0;
         team.sync();
         const auto ring_of = [&](int depth) {
@@ -196,7 +197,7 @@ struct Floor {
         if (first < 0) first = 0;
         FloorPlane plane = all[first];
         FloorAhead ahead;
-        if (settings[FloorSetting::RAMPS]) {
+        if (settings->ramps) {
             int others = 0;
             for (int n = -1; n < count; n++) {
                 const FloorPlane one = all[n < 0 ? first : n];
@@ -208,7 +209,7 @@ struct Floor {
                 team.sync();
                 others += is_new;
             }
-            const int farthest = prior.height + settings[FloorSetting::MAX_SHIFT];
+            const int farthest = prior.height + settings->max_shift;
             const FloorOutlook outlook = {ramps(), {profile()}, has_prior, farthest, most_ramp};
             plane = outlook.run(team, different, others, ahead);
         }
@@ -227,7 +228,7 @@ struct Floor {
             found[2] = FAR;
             FloorAhead ramp;
             const FloorPlane level = {prior.pitch, steep.roll, prior.height};
-            if (has_prior && settings[FloorSetting::RAMPS] && is_near(level))
+            if (has_prior && settings->ramps && is_near(level))
                 ramp = ramps().crossing(level, steep);
             if (is_ahead(ramp)) {
                 plane = level;
@@ -239,7 +240,7 @@ struct Floor {
     }
 
     bool is_ahead(FloorAhead ramp) const {
-        return ramp.turn && ramp.start > 0 && ramp.start <= settings[FloorSetting::FARTHEST_RAMP];
+        return ramp.turn && ramp.start > 0 && ramp.start <= settings->farthest_ramp;
     }
 
     // Whether a plane is below the camera and near the prior; without a prior, whether it is below the
@@ -247,10 +248,10 @@ struct Floor {
     bool is_near(FloorPlane plane) const {
         if (!has_prior) return FloorSearch::is_usual(plane);
         const auto apart = [](long long a, long long b) { return a > b ? a - b : b - a; };
-        const int turn = settings[FloorSetting::MAX_TURN];
+        const int turn = settings->max_turn;
         return plane.height > 0 && apart(plane.pitch, prior.pitch) <= turn &&
                apart(plane.roll, prior.roll) <= turn &&
-               apart(plane.height, prior.height) <= settings[FloorSetting::MAX_SHIFT];
+               apart(plane.height, prior.height) <= settings->max_shift;
     }
 
     // Refines the plane on all cells or, if there is a ramp or a step, on the cells before its start.
@@ -300,16 +301,14 @@ struct Floor {
     void judge(ThreadGroup& group, FloorPlane plane, FloorAhead ahead, int* found) const {
         const FloorCells all = of(cells, most, 0, counts[ALL]);
         const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
-        const FloorSlack fine(settings[FloorSetting::FINE_BASE], settings[FloorSetting::FINE_PER_Z],
-                              settings[FloorSetting::NOISE], plane.height);
+        const FloorSlack fine(settings->fine, settings->noise, plane.height);
         const FloorRamps ramp = ramps();
         const int slope = ahead.turn ? angles.slope(ahead.turn) : 0;
         const bool is_flat = !ahead.turn && !ahead.drop;
-        const int table_depth = settings[FloorSetting::TABLE], step = settings[FloorSetting::STEP];
+        const int table_depth = settings->table, step = settings->step;
         // Without a prior, a floor beyond a deep step may be the floor below a table.
-        const bool may_be_table =
-            !has_prior && ahead.drop > 0 &&
-            plane.height + ahead.drop <= settings[FloorSetting::OVER_TABLE];
+        const bool may_be_table = !has_prior && ahead.drop > 0 &&
+                                  plane.height + ahead.drop <= settings->over_table;
         int on = 0, low = 0, high = 0, dents = 0;
         for (int i = group.rank(); i < all.count; i += group.size()) {
             const int x = all.x[i], y = all.y[i], z = all.z[i];
@@ -319,7 +318,7 @@ struct Floor {
             on += (deep <= s) & (-deep <= s);
             const int most = FloorScore::BELOW * s;
             low += (deep > most + table_depth) |
-                   (may_be_table & (deep - up > most + settings[FloorSetting::DEEP]));
+                   (may_be_table & (deep - up > most + settings->deep));
             high += -deep > s + step;
             dents += 2 * deep > 3 * s;
         }
@@ -329,9 +328,9 @@ struct Floor {
         // Without a prior, each cell in a dent (more than 1.5 tolerances below the plane) costs
         // BELOW_COST inliers, because below a plane through a table there are many.
         const long long enough = sums[0] - (has_prior ? 0 : FloorScore::BELOW_COST * sums[3]);
-        const int least =
-            has_prior ? settings[FloorSetting::MIN_SHARE]
-                  : FloorSearch::least_share(plane, settings[FloorSetting::MIN_SHARE_ALONE]);
+        const int least = has_prior
+            ? settings->min_share
+            : FloorSearch::least_share(plane, settings->min_share_alone);
         const int share = has_prior ? UNDER : UNDER_ALONE;
         const int portion = has_prior ? UNDER_PART : UNDER_PART_ALONE;
         int refused = NONE;

@@ -80,7 +80,7 @@ struct FloorOutlook {
     bool are_alike(FloorPlane a, FloorPlane b) const {
         const auto differ = [](int a, int b, int most) { return a - b > most || b - a > most; };
         return !differ(a.pitch, b.pitch, ALIKE) && !differ(a.roll, b.roll, ALIKE) &&
-               !differ(a.height, b.height, ramps.settings[FloorSetting::ALIKE]);
+               !differ(a.height, b.height, ramps.settings->alike);
     }
 };
 

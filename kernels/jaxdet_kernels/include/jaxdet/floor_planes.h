@@ -5,19 +5,21 @@
 
 namespace jaxdet { namespace {
 
-// Index of each setting, in the order of `_floor_settings` in jaxdet/stages/_tables.py. Lengths are
-// integers in depth units. RINGS has 6 values, and STARTS has 16.
-struct FloorSetting {
-    enum {
-        STRIDE, MAX_DEPTH, NOISE,
-        ROUGH_BASE, ROUGH_PER_Z, FINE_BASE, FINE_PER_Z, SHARP_BASE, SHARP_PER_Z, WIDE_PER_Z,
-        LEVER_BITS, BIN_BITS, SPAN, EDGE, LOWEST, HIGHEST,
-        RINGS,
-        MAX_TURN = RINGS + 6, MAX_SHIFT, MIN_SHARE, MIN_SHARE_ALONE, TABLE, DEEP, OVER_TABLE,
-        STEP, RAMPS, FARTHEST_RAMP, RUN_BITS, RISE_BITS, RUNS, HALF, PROFILE_BASE, RAMP_NEAR, SPREAD,
-        START_STEP, DROP_SPACING, ALIKE, STARTS,
-        COUNT = STARTS + 16
-    };
+// Tolerance of inliers at depth 0 [depth units], and its increase per depth unit of z, with
+// FloorSlack::BITS fraction bits.
+struct FloorTolerance {
+    int base, per_z;
+};
+
+// Settings in the order of `_floor_settings` in jaxdet/stages/_tables.py, which documents them. Lengths
+// are in depth units.
+struct FloorSettings {
+    int stride, max_depth, noise;
+    FloorTolerance rough, fine, sharp;
+    int wide_per_z, lever_bits, bin_bits, span, edge, lowest, highest, rings[6];
+    int max_turn, max_shift, min_share, min_share_alone, table, deep, over_table, step, ramps;
+    int farthest_ramp, run_bits, rise_bits, runs, half, profile_base, ramp_near, spread, start_step;
+    int drop_spacing, alike, starts[16];
 };
 
 // Plane by the pose of the camera above it: pitch and roll [angle steps] and height [depth units].
@@ -52,15 +54,11 @@ struct FloorSlack {
     int base;
     long long rate;  // increase per depth unit of z, BITS fraction bits
 
-    FloorSlack(int base, int per_z, int noise, int height)
-        : base(base), rate(per_z + (long long)noise * (height > 0 ? height : 0)) {}
+    FloorSlack(FloorTolerance of, int noise, int height)
+        : base(of.base), rate(of.per_z + (long long)noise * (height > 0 ? height : 0)) {}
 
-#if defined(__CUDA_ARCH__)
-    int at(int z) const { return base + (int)((z * rate) >> BITS); }
-#else
     // z * rate is below 2^47 because tolerances are below 2^21, so a double is exact.
     int at(int z) const { return base + (int)(z * ((double)rate / (1 << BITS))); }
-#endif
 };
 
 struct FloorAngles {
@@ -135,7 +133,7 @@ struct FloorKey {
 struct FloorRefine {
     enum { LARGEST_TURN = 8 * FloorAngles::ANGLES, TURN_BITS = 24, RIDGE = 14, FEWEST = 20 };
     FloorAngles angles;
-    const int* settings;
+    const FloorSettings* settings;
     // Prior of the angles, if `is_given`. It is a copy, because a value whose address is taken would
     // be kept in memory instead of registers.
     FloorPlane prior;
@@ -149,12 +147,13 @@ struct FloorRefine {
                    int sharp) const {
         // There is a single loop, so that `round` is inlined only once.
         for (int k = 0, n = 0; k < 3;) {
-            const int* slack = settings + FloorSetting::ROUGH_BASE + 2 * k;
+            const FloorTolerance near = k == 0   ? settings->rough
+                                        : k == 1 ? settings->fine
+                                                 : settings->sharp;
             const int rounds = k == 0 ? rough : k == 1 ? fine : sharp;
             const FloorPlane before = plane;
             // A round that changes nothing has converged.
-            const bool more = n < rounds && round(group, plane, cells, slack[0], slack[1]) &&
-                              !(plane == before);
+            const bool more = n < rounds && round(group, plane, cells, near) && !(plane == before);
             n = more ? n + 1 : 0;
             k += !more;
         }
@@ -164,33 +163,22 @@ struct FloorRefine {
     // Divides integers by a fixed divisor and rounds down. The dividends must not be negative, and the
     // quotients must be at most 64.
     struct Quotients {
-#if defined(__CUDA_ARCH__)
-        typedef long long Whole;
-        Whole divisor;
-        explicit Quotients(Whole divisor) : divisor(divisor) {}
-        int of(Whole n) const {
-            if ((n | divisor) >> 32 == 0) return (int)((unsigned)n / (unsigned)divisor);
-            return (int)(n / divisor);
-        }
-#else
         // The result is exact for divisors below 2^44: (n + 1/2) / divisor is at least 2^-45 away from
         // any integer, and the rounding error of the product is at most 2^-46.
-        typedef double Whole;
         double inverse;
-        explicit Quotients(Whole divisor) : inverse(1.0 / divisor) {}
-        int of(Whole n) const { return (int)((n + 0.5) * inverse); }
-#endif
+        explicit Quotients(double divisor) : inverse(1.0 / divisor) {}
+        int of(double n) const { return (int)((n + 0.5) * inverse); }
     };
 
     // Refines the plane by one round of weighted least squares. Returns false, with the plane
     // unchanged, if fewer than FEWEST cells are near the plane or if all weights are 0.
-    bool round(ThreadGroup& group, FloorPlane& plane, const FloorCells& cells, int base,
-               int per_z) const {
+    bool round(ThreadGroup& group, FloorPlane& plane, const FloorCells& cells,
+               FloorTolerance tolerance) const {
         const FloorDirection down = angles.down(plane);
         const FloorDirection right = angles.right(plane), forward = angles.forward(plane);
-        const FloorSlack slack(base, per_z, settings[FloorSetting::NOISE], plane.height);
-        const int height = plane.height, lever = settings[FloorSetting::LEVER_BITS];
-        const Quotients::Whole squares = 64 * 9 * (Quotients::Whole)base * base;
+        const FloorSlack slack(tolerance, settings->noise, plane.height);
+        const int height = plane.height, lever = settings->lever_bits;
+        const double squares = 64 * 9 * (double)slack.base * slack.base;
         const int *__restrict__ xs = cells.x, *__restrict__ ys = cells.y, *__restrict__ zs = cells.z;
         int* __restrict__ out = weights;
         const int first = group.rank(), step = group.size(), last = cells.count;
@@ -201,8 +189,8 @@ struct FloorRefine {
             const int off = down.along(x, y, z) - height, allowed = slack.at(z);
             const bool near = 2 * off <= 3 * allowed && -2 * off <= 3 * allowed;
             const int e = near ? off : 0;
-            const Quotients by_gate(9 * (Quotients::Whole)allowed * allowed);
-            const int taper = 64 - by_gate.of(256 * (Quotients::Whole)e * e);
+            const Quotients by_gate(9 * (double)allowed * allowed);
+            const int taper = 64 - by_gate.of(256 * (double)e * e);
             const int part = by_gate.of(squares) + 1;
             // The weight is at most 4160, so that its products with distances fit in 32 bits.
             const int w = near ? taper * taper * part >> 6 : 0;
@@ -257,7 +245,7 @@ struct FloorRefine {
         const long long total = sums[1], we = sums[2], wt = sums[3], ws = sums[4];
         const long long e = angles.rounded(we, total), t = angles.rounded(wt, total);
         const long long s = angles.rounded(ws, total);
-        const int lever = settings[FloorSetting::LEVER_BITS];
+        const int lever = settings->lever_bits;
         const long long ridge = total * RIDGE;
         long long tt = sums[5] - 2 * t * wt + t * t * total + ridge;
         long long ts = sums[6] - t * ws - s * wt + t * s * total;

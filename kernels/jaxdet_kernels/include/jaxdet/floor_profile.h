@@ -22,7 +22,7 @@ struct FloorProfile {
         ROW_ARRAYS = 8
     };
     FloorAngles angles;
-    const int* settings;
+    const FloorSettings* settings;
     // The measured cells inside the left and right margins of the image.
     FloorCells cells;
     // Scratch: `key` holds one `FloorKey`, `rows` ROW_ARRAYS * (runs + 1) words, and `places` 4 words
@@ -32,8 +32,8 @@ struct FloorProfile {
 
     // Number of distance bins, and half the number of height bins. Height bin half() begins at the
     // plane.
-    int runs() const { return settings[FloorSetting::RUNS]; }
-    int half() const { return settings[FloorSetting::HALF]; }
+    int runs() const { return settings->runs; }
+    int half() const { return settings->half; }
     int* row(int k) const { return rows + k * (runs() + 1); }
     // Index of the first cell of each distance bin, in the order of sorted cells.
     int* begin() const { return row(0); }
@@ -46,18 +46,18 @@ struct FloorProfile {
 
     // Distance of the centre of bin k [depth units].
     int middle(int k) const {
-        const int bits = settings[FloorSetting::RUN_BITS];
+        const int bits = settings->run_bits;
         return (k << bits) + (1 << bits >> 1);
     }
 
     // Computes the tolerances at each distance bin, and sorts the heights of the cells above the plane
     // by distance bin.
     void sort(const Team& team, FloorPlane plane) const {
-        const int n = runs(), run_bits = settings[FloorSetting::RUN_BITS];
-        const int rise_bits = settings[FloorSetting::RISE_BITS], middle_rise = half();
-        const int noise = settings[FloorSetting::NOISE], per_z = settings[FloorSetting::FINE_PER_Z];
-        const FloorSlack wide(settings[FloorSetting::PROFILE_BASE], per_z, noise, plane.height);
-        const FloorSlack tight(settings[FloorSetting::ROUGH_BASE], per_z, noise, plane.height);
+        const int n = runs(), run_bits = settings->run_bits;
+        const int rise_bits = settings->rise_bits, middle_rise = half();
+        const int noise = settings->noise, per_z = settings->fine.per_z;
+        const FloorSlack wide({settings->profile_base, per_z}, noise, plane.height);
+        const FloorSlack tight({settings->rough.base, per_z}, noise, plane.height);
         for (int k = team.rank; k <= n; k += team.size) {
             coarse()[k] = wide.at(middle(k));
             fine()[k] = tight.at(middle(k));
@@ -156,7 +156,7 @@ struct FloorProfile {
     // `slack` [depth units]: adds the inliers to `on`, and the cells clearly below the floor to `low`.
     template <int N> void count(int k, const int* up, int slack, int* on, int* low) const {
         if (begin()[k] == begin()[k + 1]) return;
-        const int bits = settings[FloorSetting::RISE_BITS];
+        const int bits = settings->rise_bits;
         Ranges<N> ranges;
         for (int w = 0; w < N; w++) {
             ranges.over[w] = ((up[w] + slack) >> bits) + half();
@@ -191,7 +191,7 @@ struct FloorProfile {
 
     // Number of cells in distance bin k that are lower than `height` above the plane [depth units].
     int under(int k, int height) const {
-        const int end = (height >> settings[FloorSetting::RISE_BITS]) + half();
+        const int end = (height >> settings->rise_bits) + half();
         const Ranges<1> range = {{end}, {0}, {0}};
         int count = 0, none = 0;
         this->count<1>(k, range, &count, &none);

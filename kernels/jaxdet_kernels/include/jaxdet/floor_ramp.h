@@ -60,7 +60,7 @@ struct FloorRamps : FloorProfile {
     // highest inlier is at height h, p is at least h - s, so no inlier is below h - 2 s, and all cells
     // below h - 5 s cost votes.
     void limits(const Team& team, const int* slack) const {
-        const int bits = settings[FloorSetting::RISE_BITS], each = FloorScore::BELOW_COST;
+        const int bits = settings->rise_bits, each = FloorScore::BELOW_COST;
         const int *heights = this->heights(), *at = places + 3 * cells.count;
         for (int k = team.rank; k <= runs(); k += team.size) most()[k] = flat()[k] = 0;
         team.sync();
@@ -103,7 +103,7 @@ struct FloorRamps : FloorProfile {
     // ramps with similar start and turn. `limits` must have run with the same tolerance.
     void limit(const Team& team, const int* slack, int* found) const {
         const int *heights = this->heights(), middle_rise = half();
-        const int bits = settings[FloorSetting::RISE_BITS];
+        const int bits = settings->rise_bits;
         for (int first = team.rank * ABREAST; first < STARTS * SECTORS; first += team.size * ABREAST) {
             const int sector = first / STARTS;
             const int turn = sector < SECTORS / 2 ? -MOST_TURN + sector * SECTOR
@@ -146,8 +146,8 @@ struct FloorRamps : FloorProfile {
     // Smallest start of the ramps in group `i` of `limit` [depth units]; the largest is begins(i + 1).
     // The groups cover the starts of the coarse lattice and of all fine lattices.
     int begins(int i) const {
-        const int around = AROUND * settings[FloorSetting::START_STEP];
-        const int* starts = settings + FloorSetting::STARTS;
+        const int around = AROUND * settings->start_step;
+        const int* starts = settings->starts;
         return i < STARTS ? starts[i] - around : starts[STARTS - 1] + around;
     }
 
@@ -198,7 +198,7 @@ struct FloorRamps : FloorProfile {
 
     // First distance bin whose centre lies beyond `start` [depth units].
     int first_beyond(int start) const {
-        const int bits = settings[FloorSetting::RUN_BITS];
+        const int bits = settings->run_bits;
         const int k = start < 0 ? 0 : start >> bits;
         const int found = k < runs() ? k + (middle(k) <= start) : runs();
         return found;
@@ -206,8 +206,8 @@ struct FloorRamps : FloorProfile {
 
     // Start of the ramps with index i [depth units], and turn of the ramps with index j [angle steps].
     int start_of(const Lattice& tried, int i) const {
-        if (!tried.sign) return settings[FloorSetting::STARTS + i];
-        return tried.start + (i - AROUND) * settings[FloorSetting::START_STEP];
+        if (!tried.sign) return settings->starts[i];
+        return tried.start + (i - AROUND) * settings->start_step;
     }
     int turn_of(const Lattice& tried, int j) const {
         if (!tried.sign) {
@@ -267,8 +267,8 @@ struct FloorRamps : FloorProfile {
         if (100LL * total < (long long)MIN_SHARE * all || !total) return false;
         int first, last;
         spread(ramp_cells(), first, last);
-        return middle(first) < middle(begins) + settings[FloorSetting::RAMP_NEAR] &&
-               middle(last) - middle(first) > settings[FloorSetting::SPREAD];
+        return middle(first) < middle(begins) + settings->ramp_near &&
+               middle(last) - middle(first) > settings->spread;
     }
 
     // Ramp that begins where two planes cross and continues as the plane `steep`; no ramp if the angle

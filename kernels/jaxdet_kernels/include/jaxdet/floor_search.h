@@ -322,7 +322,7 @@ struct FloorSearch {
         KEY_WORDS = 2 * (RINGS + 1 + MOST_DIRECTIONS)
     };
     FloorAngles angles;
-    const int* settings;
+    const FloorSettings* settings;
     // The cells that vote, sorted by ring, and the number of cells up to the end of each ring.
     FloorCells cells;
     const int* ring_ends;
@@ -349,30 +349,28 @@ struct FloorSearch {
     }
 
     // Number of heights of the largest lattice, plus one.
-    static int most_bins(const int* settings) {
-        const int span = 2 * settings[FloorSetting::SPAN];
-        const int range = settings[FloorSetting::HIGHEST] - settings[FloorSetting::LOWEST];
-        return ((span > range ? span : range) >> settings[FloorSetting::BIN_BITS]) + 2;
+    static int most_bins(const FloorSettings* settings) {
+        const int span = 2 * settings->span;
+        const int range = settings->highest - settings->lowest;
+        return ((span > range ? span : range) >> settings->bin_bits) + 2;
     }
 
     // Number of words for the votes of the largest lattice. Directions are padded to complete warps,
     // and each has one word more than there are heights.
-    static size_t lattice_words(const int* settings) {
+    static size_t lattice_words(const FloorSettings* settings) {
         const auto words = [&](size_t directions, int span) {
-            return (directions + 31) / 32 * 32 * ((span >> settings[FloorSetting::BIN_BITS]) + 2);
+            return (directions + 31) / 32 * 32 * ((span >> settings->bin_bits) + 2);
         };
-        const size_t near = words((2 * STEEP_DEG + 1) * (2 * NEAR_DEG + 1),
-                                  2 * settings[FloorSetting::SPAN]);
-        const size_t wide = words(
-            MOST_DIRECTIONS, settings[FloorSetting::HIGHEST] - settings[FloorSetting::LOWEST]);
+        const size_t near = words((2 * STEEP_DEG + 1) * (2 * NEAR_DEG + 1), 2 * settings->span);
+        const size_t wide = words(MOST_DIRECTIONS, settings->highest - settings->lowest);
         return near > wide ? near : wide;
     }
 
     // Computes the tolerance of each cell for votes, in `slack`. It includes the spacing of directions
     // in `per_z`, and is the same for all heights of the camera.
     void coarse(const Team& team, int per_z) const {
-        const int noise = settings[FloorSetting::NOISE];
-        const FloorSlack rough(settings[FloorSetting::ROUGH_BASE], per_z, noise, 0);
+        const int noise = settings->noise;
+        const FloorSlack rough({settings->rough.base, per_z}, noise, 0);
         for (int i = team.rank; i < cells.count; i += team.size) {
             const long long z = cells.z[i];
             slack[i] = rough.at(cells.z[i]) + (int)((z * z * noise) >> FloorSlack::BITS);
@@ -383,7 +381,7 @@ struct FloorSearch {
     // Lattice of planes around `middle`: up to `turn` degrees of pitch and `roll` degrees of roll on
     // each side, one degree apart.
     FloorVotes around(FloorPlane middle, int turn, int roll) const {
-        const int one = FloorAngles::ANGLES, span = settings[FloorSetting::SPAN];
+        const int one = FloorAngles::ANGLES, span = settings->span;
         return lattice(middle.pitch - turn * one, middle.roll - roll * one, one, 2 * turn + 1,
                        2 * roll + 1, middle.height - span, 2 * span);
     }
@@ -391,7 +389,7 @@ struct FloorSearch {
     // Lattice with the parameters of FloorVotes; `span` is the range of heights [depth units].
     FloorVotes lattice(int pitch0, int roll0, int step, int pitches, int rolls, int lowest,
                        int span) const {
-        const int rings = 1, fewest = 0, edges = 0, bits = settings[FloorSetting::BIN_BITS];
+        const int rings = 1, fewest = 0, edges = 0, bits = settings->bin_bits;
         return {angles, cells, slack, ring_ends, rings, fewest, pitch0, roll0, step, pitches, rolls,
                 lowest, (span >> bits) + 1, bits, edges, edges, votes, counts, room, keys,
                 keys + RINGS, keys + RINGS + 1};
@@ -408,9 +406,7 @@ struct FloorSearch {
             const int n = unit / parts, part = unit - n * parts;
             const FloorPlane plane = planes[n];
             const FloorDirection down = angles.down(plane);
-            const FloorSlack fine(settings[FloorSetting::FINE_BASE],
-                                  settings[FloorSetting::FINE_PER_Z],
-                                  settings[FloorSetting::NOISE], plane.height);
+            const FloorSlack fine(settings->fine, settings->noise, plane.height);
             const FloorScore each{};
             const int height = plane.height, to = cells.count * (part + 1) / parts;
             int sum = 0;
@@ -441,10 +437,10 @@ struct FloorSearch {
 
     // Finds up to NEAR_PLANES planes near a guess, which may be the prior; returns their number.
     int near_planes(const Team& team, FloorPlane guess, bool is_prior, FloorPlane* planes) const {
-        coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
+        coarse(team, settings->rough.per_z);
         FloorVotes lattice = around(guess, STEEP_DEG, NEAR_DEG);
         lattice.edge_pitches = STEEP_DEG - NEAR_DEG;
-        lattice.edge_bins = settings[FloorSetting::EDGE];
+        lattice.edge_bins = settings->edge;
         int ends[NEAR_PLANES];
         int count = best_of_rings(team, lattice, planes, ends);
         lattice.next(team);
@@ -474,12 +470,12 @@ struct FloorSearch {
     // Finds the best floor without a prior, for any usual pose of the camera; `planes` and `scores`
     // have room for ANY_PLANES elements each.
     FloorPlane any_plane(const Team& team, FloorPlane* planes, int* scores) const {
-        const int lowest = settings[FloorSetting::LOWEST];
-        const int one = FloorAngles::ANGLES, range = settings[FloorSetting::HIGHEST] - lowest;
+        const int lowest = settings->lowest;
+        const int one = FloorAngles::ANGLES, range = settings->highest - lowest;
         FloorVotes wide = lattice(
             PITCH_LEAST * one, -ROLL_MOST * one, STEP_DEG * one,
             (PITCH_MOST - PITCH_LEAST) / STEP_DEG + 1, 2 * ROLL_MOST / STEP_DEG + 1, lowest, range);
-        coarse(team, settings[FloorSetting::WIDE_PER_Z]);
+        coarse(team, settings->wide_per_z);
         int ends[ANY_PLANES];
         int count = best_of_rings(team, wide, planes, ends);
         for (int n = 1; n < WINNERS; n++) {
@@ -488,7 +484,7 @@ struct FloorSearch {
             count++;
         }
         team.sync();
-        coarse(team, settings[FloorSetting::ROUGH_PER_Z]);
+        coarse(team, settings->rough.per_z);
         for (int n = 0; n < count; n++) {
             const FloorVotes close = around(planes[n], 1, 1);
             close.run(team);
@@ -504,7 +500,7 @@ struct FloorSearch {
         }
         team.sync();
         score(team, planes, count, scores);
-        const int least = settings[FloorSetting::MIN_SHARE_ALONE];
+        const int least = settings->min_share_alone;
         int best = 0;
         long long most = 0;
         for (int n = 0; n < count; n++) {

@@ -17,7 +17,7 @@ struct FloorSteps : FloorProfile {
 
     // Drop of the floor at candidate step `i` [depth units]; the steps down come first.
     int drop(int i) const {
-        const int each = settings[FloorSetting::DROP_SPACING];
+        const int each = settings->drop_spacing;
         return i < DROPS ? (i + 1) * each : -(i - DROPS + 1) * each;
     }
 
@@ -80,7 +80,7 @@ struct FloorSteps : FloorProfile {
         votes = FloorKey::votes(best);
         if (best == ~0ull || votes < least) return false;
         const int m = FloorKey::number(best);
-        found = {(m % n) << settings[FloorSetting::RUN_BITS], 0, drop(m / n)};
+        found = {(m % n) << settings->run_bits, 0, drop(m / n)};
         return is_seen(team, m % n, found.drop);
     }
 
@@ -96,7 +96,7 @@ struct FloorSteps : FloorProfile {
         int first, last;
         spread(others(), first, last);
         team.sync();
-        return middle(last) - middle(first) > settings[FloorSetting::SPREAD];
+        return middle(last) - middle(first) > settings->spread;
     }
 };
 

@@ -62,8 +62,9 @@ struct FreeFloor {
 
     // Copies n cells of a row from column `left` on to `out`; `turned` is taken into account as in
     // `at`.
-    void take(const int* from, int row, int left, int n, int* __restrict__ out) const {
-        const int* const cell = from + at(row, left);
+    template <class Cell>
+    void take(const Cell* from, int row, int left, int n, int* __restrict__ out) const {
+        const Cell* const cell = from + at(row, left);
         if (turned)
             for (int c = 0; c < n; ++c) out[c] = cell[-c];
         else
@@ -117,23 +118,14 @@ struct FreeFloor {
         }
         for (int top = 0; top < rows; top += SEEK) {
             int own[SEEK][ABREAST], ahead[SEEK][ABREAST];
-            for (int i = 0; i < SEEK; ++i)
-                if (top + i < rows)
-                    take(label, top + i, left, n, own[i]);
-                else
-                    for (int c = 0; c < n; ++c) own[i][c] = -1;
             for (int i = 0; i < SEEK; ++i) {
-                const int* const cell = forward + at(top + i, left);
-                if (turned)
-                    for (int c = 0; c < n; ++c)
-                        ahead[i][c] = own[i][c] >= 0 ? cell[-c] : (int)LARGEST;
-                else
-                    for (int c = 0; c < n; ++c)
-                        ahead[i][c] = own[i][c] >= 0 ? cell[c] : (int)LARGEST;
+                const int row = top + i < rows ? top + i : rows - 1;  // again, which changes nothing
+                take(label, row, left, n, own[i]);
+                take(forward, row, left, n, ahead[i]);
             }
             for (int i = 0; i < SEEK; ++i)
                 for (int c = 0; c < n; ++c) {
-                    const bool nearer = ahead[i][c] < of.limit[c];
+                    const bool nearer = (own[i][c] >= 0) & (ahead[i][c] < of.limit[c]);
                     of.limit[c] = nearer ? ahead[i][c] : of.limit[c];
                     of.nearest[c] = nearer ? top + i : of.nearest[c];
                 }
@@ -147,14 +139,10 @@ struct FreeFloor {
         int bow[AHEAD][ABREAST], drop[AHEAD][ABREAST], jumps[ABREAST], some = 0;
         for (int i = 0; i < AHEAD; ++i) {
             const int row = bottom > i ? bottom - i : 0;
-            const bool* const cell = low + at(row, left);
             take(forward, row, left, n, ahead[i]);
             take(height, row, left, n, high[i]);
             take(z, row, left, n, depth[i]);
-            if (turned)
-                for (int c = 0; c < n; ++c) on[i][c] = cell[-c];
-            else
-                for (int c = 0; c < n; ++c) on[i][c] = cell[c];
+            take(low, row, left, n, on[i]);
             for (int c = 0; c < n; ++c) {
                 on[i][c] &= (bottom >= i) & !of.ended[c] & (ahead[i][c] < of.limit[c]) &
                             (depth[i][c] <= far);

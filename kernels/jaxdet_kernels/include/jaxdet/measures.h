@@ -127,9 +127,7 @@ struct Measures {
              from += warp.size * ABREAST) {
             int left[ABREAST], right[ABREAST], top[ABREAST], bottom[ABREAST];
             const int n = range.end - from < ABREAST ? range.end - from : (int)ABREAST;
-#if defined(__clang__)
-#pragma clang loop vectorize(assume_safety)
-#endif
+            JAXDET_VECTORIZE
             for (int i = 0; i < n; ++i) {
                 const int k = cell[from + i];
                 boxes.box(k, depth[k], image, left + i, right + i, top + i, bottom + i);

@@ -34,12 +34,9 @@ struct ObstacleCells {
 
     // Allocates the arrays, with room for `slots` obstacles.
     void allocate(Arena& arena, int slots) {
-        starts = arena.words(PARTS * slots + 1);
-        filled = arena.words(PARTS * slots);
-        int** const by_cell[] = {&cell, &right_of, &forward_of, &listed.cell, &listed.label,
-                                 &listed.right, &listed.forward};
-        for (int** array : by_cell) *array = arena.words(cells);
-        listed.count = arena.words(1);
+        take(arena, PARTS * slots + 1, starts, filled);
+        take(arena, cells, cell, right_of, forward_of);
+        listed.allocate(arena, cells / columns, columns);
     }
 
     int place(int number, int column) const {
@@ -49,7 +46,16 @@ struct ObstacleCells {
     // Clears the counts. The team must sync afterwards.
     void clear() const {
         for (int i = team.rank; i < PARTS * count; i += team.size) filled[i] = 0;
-        if (team.rank == 0) *listed.count = 0;
+    }
+
+    // Lists the cells of obstacles. Ends in a sync.
+    void list() const {
+        Warp(team).fill(listed.has, [&](int i, int k) {
+            const int own = label[listed.has.cell(i, k)];
+            return (own >= 0) & (own < count);
+        });
+        team.sync();
+        listed.list(team, label, right, forward);
     }
 
     // Computes `starts` in one warp; the cells of each part must have been counted. The team must sync

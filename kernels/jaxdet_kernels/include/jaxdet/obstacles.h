@@ -5,7 +5,6 @@
 #include "contraction.h"
 #include "evidence.h"
 #include "cell_list.h"
-#include "numbering.h"
 #include "small_surfaces.h"
 #include "straight_parts.h"
 
@@ -15,20 +14,21 @@ struct Obstacles {
     typedef unsigned long long Key;
     enum { MAX_SURFACES = 512, MAX_LABELS = 1024, THINNEST = 3 };
     // Indices of `counts`.
-    enum { SURFACES, WHOLE, GROUPS, NEAR, PARTS, LISTED, COUNTS };
+    enum { SURFACES, WHOLE, GROUPS, NEAR, CLOSE, PARTS, COUNTS };
     // Indices of `settings`, in the order of `obstacle_tables` in jaxdet/stages/_tables.py; lengths are
     // in depth units. NO_STEP is the depth step of surfaces that do not face each other, and OFFSET is
     // the constant term of the evidence.
     enum {
         FARTHEST, LATERAL, FORWARD, GAP, CONTACT, BEND, SIDE, MIN_SIZE, MIN_CELLS, NO_STEP, OFFSET
     };
-    // Number of words of fast memory, which is shared memory on CUDA. The CPU has none.
-    enum { FAST = Warp::size > 1 ? 4096 : 0 };
-    static_assert((int)FAST == 0 || (int)FAST >= (int)Evidence::FAST, "room for a batch of pairs");
+    // Number of words of fast memory: shared memory on CUDA, the stack on the CPU.
+    enum { FAST = Warp::size > 1 ? 4096 : (int)Evidence::FAST };
+    static_assert((int)FAST >= (int)Evidence::FAST, "room for a batch of pairs");
     int* fast;  // reused by one stage after the other, aligned to 16 bytes
     int rows, columns;
     // Surface, position in the camera optical frame, and position on and height above the floor, of
-    // each cell [depth units]; and whether it is free.
+    // each cell [depth units]; and whether it is free. Surfaces are numbered in the order of their first
+    // cells.
     const int *surface, *x, *y, *z, *right, *forward, *height;
     const unsigned char* free;
     const int* settings;
@@ -40,9 +40,10 @@ struct Obstacles {
     // of pairs, and the nearest cells of the contours of obstacles.
     int slots;
     Key *pairs, *of_surfaces, *best, *turns;
-    int *between, *list, *packed, *stack, *line_x, *line_y, *line_column, *start;
+    int *between, *list, *close, *packed, *stack, *line_x, *line_y, *line_column, *start;
     unsigned char* near_pairs;
-    int* bits;
+    // Bitmap of free cells, and bitmaps of listed and of free cells with rows and columns exchanged.
+    BitRows open, listed_turned, open_turned;
     CellList listed;  // labels are first surfaces, then merged surfaces, then parts of obstacles
     Extents first, whole, last;
     int *group, *number, *small, *spare, *over, *counts, *parts, *part_of;
@@ -59,23 +60,21 @@ struct Obstacles {
         best = arena.longs(slots);
         turns = arena.longs(2 * Contraction::TURNS);
         between = arena.words(all);
-        list = arena.words(all / 2);
+        take(arena, all / 2, list, close);
         near_pairs = (unsigned char*)arena.words((all / 2 + 3) / 4);
-        packed = arena.words(cells + slots);
-        stack = arena.words(cells + slots);
-        start = arena.words(labels + 1);
+        take(arena, cells + slots, packed, stack);
+        take(arena, labels + 1, start);
         Extents* const extents[] = {&first, &whole, &last};
         for (Extents* of : extents) of->allocate(arena.words(Extents::FIELDS * labels), (int)labels);
-        int** const by_label[] = {&group, &number, &small, &over};
-        for (int** array : by_label) *array = arena.words(labels);
-        spare = arena.words(2 * labels + 1);
-        parts = arena.words(2 * labels + 1);
-        counts = arena.words(COUNTS);
-        listed.count = counts + LISTED;
-        int** const by_cell[] = {&line_x, &line_y, &line_column, &listed.cell, &listed.label,
-                                 &listed.right, &listed.forward};
-        for (int** array : by_cell) *array = arena.words(cells);
-        bits = arena.words(2 * (rows_bits().count() + columns_bits().count()));
+        take(arena, labels, group, number, small, over);
+        take(arena, 2 * labels + 1, spare, parts);
+        take(arena, COUNTS, counts);
+        take(arena, cells, line_x, line_y, line_column);
+        listed.allocate(arena, rows, columns);
+        open = BitRows(rows, columns, nullptr);
+        take(arena, open.count(), open.bits);
+        listed_turned = open_turned = BitRows(columns, rows, nullptr);
+        take(arena, listed_turned.count(), listed_turned.bits, open_turned.bits);
         part_of = (int*)of_surfaces;
     }
 
@@ -86,8 +85,7 @@ struct Obstacles {
             *total = 0;
         }
         team.sync();
-        listed.take(team, surface, free, right, forward, columns, bits_of(0), bits_of(1), label,
-                    counts + SURFACES);
+        list_cells(team);
         join_small(team);
         pack(team);
         const Contours contours = contours_of(counts[WHOLE], whole, of_surfaces);
@@ -96,10 +94,26 @@ struct Obstacles {
         find_evidence(team, contours);
         const Contraction contraction = {counts[WHOLE], between, best, turns, group};
         contraction.run(team, fast, FAST);
-        number_groups(team, counts[WHOLE], whole, counts + GROUPS);
+        number_groups(team, counts[WHOLE], counts + GROUPS);
         last.join(team, counts[GROUPS], whole, counts[WHOLE], number);
         straighten(team, contours);
         order(team);
+    }
+
+    // Lists the cells with a surface. The obstacle of each cell is its surface at first. Ends in a sync.
+    void list_cells(const Team& team) const {
+        const Warp warp(team);
+        int largest = -1;
+        warp.fill(listed.has, [&](int i, int k) {
+            const int at = open.cell(i, k), own = Team::input(surface + at);
+            label[at] = own;
+            largest = own > largest ? own : largest;
+            return own >= 0;
+        });
+        warp.fill(open, [&](int i, int k) { return free[open.cell(i, k)] != 0; });
+        if (largest >= 0) team.atomic_max(counts + SURFACES, largest + 1);
+        team.sync();
+        listed.list(team, surface, right, forward);
     }
 
     Contours contours_of(int count, const Extents& extents, Key* nearest) const {
@@ -148,10 +162,17 @@ struct Obstacles {
         return extents.width(l) >= settings[MIN_SIZE] || extents.height(l) >= settings[MIN_SIZE];
     }
 
-    void number_groups(const Team& team, int count, const Extents& extents, int* groups) const {
-        int* const lowest = 2 * count <= FAST ? fast : spare;
-        const Numbering numbering = {count, group, extents.first, lowest, lowest + count, number, groups};
-        numbering.run(team);
+    // Numbers the groups of `count` labels in the order of their smallest labels, which is that of
+    // their first cells. Writes the number of each label to `number`, and how many groups there are to
+    // `groups`. Ends in a sync.
+    void number_groups(const Team& team, int count, int* groups) const {
+        const Warp warp(team);
+        for (int l = team.rank; l < count; l += team.size) spare[l] = group[l] == l;
+        team.sync();
+        if (warp.index == 0) *groups = warp.exclusive_sum(spare, count);
+        team.sync();
+        for (int l = team.rank; l < count; l += team.size) number[l] = spare[group[l]];
+        team.sync();
     }
 
     // Merges small surfaces into others. Sets `number`, the merged surface of each surface, and the
@@ -172,19 +193,8 @@ struct Obstacles {
                                            z, small, (int*)pairs, {group}};
             joining.run(team);
         }
-        number_groups(team, count, first, counts + WHOLE);
+        number_groups(team, count, counts + WHOLE);
         whole.join(team, counts[WHOLE], first, count, number);
-    }
-
-    // Bitmap of the cells with a surface (0) or of the free cells (1), by rows or by columns.
-    BitRows rows_bits() const { return BitRows(rows, columns, nullptr); }
-    BitRows columns_bits() const { return BitRows(columns, rows, nullptr); }
-    BitRows bits_of(int k) const {
-        return BitRows(rows, columns, bits + k * rows_bits().count());
-    }
-    BitRows transposed(int k) const {
-        const int* after = bits + 2 * rows_bits().count();
-        return BitRows(columns, rows, (int*)after + k * columns_bits().count());
     }
 
     // Replaces the labels of listed cells by their merged surfaces, and packs these with the depths.
@@ -194,10 +204,10 @@ struct Obstacles {
             listed.label[i] = own;
             packed[k] = Packed(own, z[k]).word;
         }
-        for (int k = 0; k < 2; ++k) {
-            transposed(k).clear_padding(team);
-            bits_of(k).transpose(team, transposed(k));
-        }
+        listed_turned.clear_padding(team);
+        open_turned.clear_padding(team);
+        listed.has.transpose(team, listed_turned);
+        open.transpose(team, open_turned);
         team.sync();
     }
 
@@ -214,11 +224,11 @@ struct Obstacles {
         const bool fits = (size_t)count * count / 2 <= FAST * sizeof(int);
         unsigned char* const near = fits ? (unsigned char*)fast : near_pairs;
         const Evidence evidence = {count, settings[LATERAL], settings[FORWARD], gap, settings[NO_STEP],
-                                   whole, contours, trees, near, pairs, list, counts + NEAR, between,
-                                   fast};
+                                   whole, contours, trees, near, pairs, list, counts + NEAR, close,
+                                   counts + CLOSE, between, fast};
         evidence.find_near(team);
-        const Facing in_rows = {bits_of(0), bits_of(1), packed, x, columns, 1, true, gap, near, pairs};
-        const Facing in_columns = {transposed(0), transposed(1), packed, y, 1, columns, false, gap,
+        const Facing in_rows = {listed.has, open, packed, x, columns, 1, true, gap, near, pairs};
+        const Facing in_columns = {listed_turned, open_turned, packed, y, 1, columns, false, gap,
                                    near, pairs};
         Facing::run(team, in_rows, in_columns);
         team.sync();

@@ -57,7 +57,7 @@ struct Outlines {
         measures.clear(slots);
         cells.clear();
         team.sync();
-        cells.listed.take(team, cells.cells, cells.label, cells.count, cells.right, cells.forward);
+        cells.list();
         count();
         team.sync();
         if (warp.index == 0) cells.order(warp);
@@ -160,25 +160,19 @@ struct Outlines {
         const int low = along.low, high = along.high, first = across.low, last = across.high;
         const int wide = high - low, deep = last - first;
         area[i] = (long long)(wide >> DIRECTION_BITS) * (deep >> DIRECTION_BITS);
-        // Distances are `turn * place + shift`.
+        // Distances are `turn * place + shift`; an edge that does not face the camera is farther away
+        // than any cell.
         const int turn = low > 0 ? 1 : high < 0 ? -1 : 0, other = first > 0 ? 1 : last < 0 ? -1 : 0;
-        const int shift = low > 0 ? -low : high, away = first > 0 ? -first : last;
+        const int shift = turn > 0 ? -low : turn ? high : (int)Extremes::MOST;
+        const int away = other > 0 ? -first : other ? last : (int)Extremes::MOST;
         const int ax = turn * dx, ay = turn * dy, bx = -other * dy, by = other * dx;
-        auto sum = [&](auto distance) {
-            long long total = 0;
-            for (int j = 0; j < n; ++j) total += distance(line[2 * j], line[2 * j + 1]);
-            return (int)(total >> DIRECTION_BITS);
-        };
-        auto to_side = [&](int x, int y) { return ax * x + ay * y + shift; };
-        auto to_front = [&](int x, int y) { return bx * x + by * y + away; };
-        auto to_nearer = [&](int x, int y) {
-            const int one = to_side(x, y), two = to_front(x, y);
-            return one < two ? one : two;
-        };
-        cost[i] = turn && other ? sum(to_nearer)
-                  : turn        ? sum(to_side)
-                  : other       ? sum(to_front)
-                                : NO_EDGE;
+        long long total = 0;
+        for (int j = 0; j < n; ++j) {
+            const int x = line[2 * j], y = line[2 * j + 1];
+            const int to_side = ax * x + ay * y + shift, to_front = bx * x + by * y + away;
+            total += to_side < to_front ? to_side : to_front;
+        }
+        cost[i] = turn || other ? (int)(total >> DIRECTION_BITS) : (int)NO_EDGE;
     }
 
     // Writes the best direction of an obstacle and the extremes of its cells along and across it.

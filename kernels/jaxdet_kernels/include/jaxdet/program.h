@@ -50,7 +50,8 @@ struct Frame {
     const int *surface_settings, *outline_settings, *free_settings, *last, *directions;
     const int *bearings, *ray_directions;
     const float *block_settings, *parameters, *corner_x, *corner_y;
-    const int *rays, *tile_corners, *floor_settings, *sines, *feature, *threshold, *value, *obstacle_settings;
+    const FloorSettings* floor_settings;
+    const int *rays, *tile_corners, *sines, *feature, *threshold, *value, *obstacle_settings;
     // Intermediate arrays that steps pass on, one value per cell except for `frame`.
     int *frame, *x, *y, *z, *nearest, *right, *forward, *above, *surface, *label;
     unsigned char *keep, *free, *low;
@@ -105,11 +106,7 @@ struct Frame {
         return {team, floor_settings, sines, prior, rows, columns, arena, fast};
     }
     JAXDET_STEP void find_floor(const Team& team, int* scratch) const {
-#if defined(__CUDA_ARCH__)
-        __shared__ __align__(16) int fast[Floor::SHARED];
-#else
-        int* const fast = nullptr;
-#endif
+        JAXDET_SHARED int fast[Floor::SHARED];
         Arena arena{scratch};
         floor_near(floors, team, arena, fast).run(x, y, z, rows, columns, floor);
     }
@@ -132,11 +129,7 @@ struct Frame {
                 obstacle_settings, every, label, num_obstacles};
     }
     JAXDET_STEP void find_obstacles(const Team& team, int* scratch) const {
-#if defined(__CUDA_ARCH__)
-        __shared__ __align__(16) int fast[Obstacles::FAST];
-#else
-        int* const fast = nullptr;
-#endif
+        JAXDET_SHARED int fast[Obstacles::FAST];
         Arena arena{scratch};
         Obstacles found = obstacles(fast);
         found.allocate(arena);
@@ -145,17 +138,18 @@ struct Frame {
 
     // Scratch memory of the free-floor step.
     struct FreeParts {
-        int *line, *end, *falls, *polar, *start, *stop, *block;
+        int *line, *polar, *end, *falls, *start, *stop, *block, *corners;
 
-        FreeParts(int columns, Arena& arena)
-            : line(arena.words(4 * columns)), end(arena.words(columns)),
-              falls(arena.words(columns)), polar(arena.words(4 * columns)),
-              start(arena.words(Rays::RAYS)), stop(arena.words(Rays::RAYS)),
-              block(arena.words(Rays::RAYS)) {}
+        FreeParts(int rows, int columns, Arena& arena) {
+            take(arena, 4 * columns, line, polar);
+            take(arena, columns, end, falls);
+            take(arena, Rays::RAYS, start, stop, block);
+            take(arena, RayBlocks::num_corners(rows, columns), corners);
+        }
     };
     JAXDET_STEP void find_free_floor(const Team& team, int* scratch) const {
         Arena arena{scratch};
-        const FreeParts parts(columns, arena);
+        const FreeParts parts(rows, columns, arena);
         const int* const of = free_settings;
         const FloorFrame floor_frame(frame);
         FreeFloor by_column{team, rows, columns, of[FreeFloor::FAR], of[FreeFloor::GAP], label, z,
@@ -174,7 +168,7 @@ struct Frame {
         found.add_floor(inside);
         RayBlocks(of[FreeFloor::NEAREST], of[FreeFloor::IN_RANGE], of[FreeFloor::HIGHEST], rows,
                   columns, floor_frame, low, nearest, z, above, rays, tile_corners, block_settings)
-            .run(found);
+            .run(found, parts.corners);
         found.put(inside, free_ranges, free_end);
     }
 
@@ -212,7 +206,7 @@ struct Frame {
         Surfaces::Parts(rows, columns, of[SURFACES]);
         obstacles(nullptr).allocate(of[OBSTACLES]);
         with_outlines(team, 0, of[OUTLINES], [](const Outlines&) {});
-        FreeParts(columns, of[FREE_FLOOR]);
+        FreeParts(rows, columns, of[FREE_FLOOR]);
         int most = 0;
         for (const Arena& arena : of) most = arena.used > most ? arena.used : most;
         return (size_t)most;

@@ -40,23 +40,14 @@ struct Rays {
 
     static int magnitude(int a) { return a < 0 ? -a : a; }
 
-    // Quotient a / b, rounded down, for a below 2^52 and b from 1 to 2^33. It is computed in float64 on
-    // CPUs, which is faster there: quotients below 2^19 are exact, but larger ones may be rounded up.
+    // Quotient a / b, rounded down, for a below 2^52 and b from 1 to 2^33. It is computed in float64,
+    // which is faster: quotients below 2^19 are exact, but larger ones may be rounded up.
     static long long floored(long long a, long long b) {
-#if defined(__CUDA_ARCH__)
-        const long long all = a / b;
-        return all - (all * b > a);
-#else
-        return (long long)__builtin_floor((double)a / (double)b);
-#endif
+        const double all = (double)a / (double)b;
+        const long long whole = (long long)all;
+        return whole - ((double)whole > all);
     }
-    static int quotient(int a, int b) {
-#if defined(__CUDA_ARCH__)
-        return a / b;
-#else
-        return (int)((double)a / (double)b);
-#endif
-    }
+    static int quotient(int a, int b) { return (int)((double)a / (double)b); }
 
     // Bits of a float32; for positive floats they have the same order.
 #if defined(__CUDA_ARCH__)
@@ -301,8 +292,9 @@ struct Rays {
 // in float32 as in the reference, with each operation rounded separately.
 struct RayBlocks {
     // A tile is TILE rows of a column of cells; its nearest point blocks all sectors that the tile
-    // covers.
-    enum { TILE = 4, ABREAST = 8, CORNER_BITS = 12, WIDEST = Rays::TURN / 4 };
+    // covers. A thread processes the tiles of ABREAST columns together, LANES cells at a time.
+    enum { TILE = 4, CORNER_BITS = 12, WIDEST = Rays::TURN / 4 };
+    enum { ABREAST = Warp::size > 1 ? 1 : (int)Grid::MOST_COLUMNS, LANES = Warp::size > 1 ? 1 : 8 };
     // Indices of settings: STEP is the step height at depth 0; GROWTH is its increase per depth unit;
     // NOISE is the noise of depth.
     enum { STEP, GROWTH, NOISE, SETTINGS };
@@ -367,16 +359,29 @@ struct RayBlocks {
         }
     }
 
-    // Bearing of a corner of tiles.
-    __attribute__((always_inline)) int bearing(const Rays& to, int tile, int column) const {
-        const int all = (tiles() + 1) * (columns + 1), k = tile * (columns + 1) + column;
-        const float x = (float)corners[k], y = (float)corners[all + k];
+    // The same for n cells. The last vector overlaps the one before it if n is not a multiple of its
+    // length.
+    __attribute__((always_inline)) void find_least(int k, int n, int* least) const {
+        for (int i = 0; i < n; i += n < LANES ? 1 : (int)LANES) {
+            const int first = i < n - LANES ? i : n - LANES;
+            if (first < 0)
+                find_least<1>(k + i, least + i);
+            else
+                find_least<LANES>(k + first, least + first);
+        }
+    }
+
+    // Bearing of corner k of tiles.
+    __attribute__((always_inline)) int bearing(const Rays& to, int k) const {
+        const float x = (float)corners[k], y = (float)corners[num_corners(rows, columns) + k];
         return to.bearing((int)(along(0, x, y) * (1 << CORNER_BITS)),
                           (int)(along(1, x, y) * (1 << CORNER_BITS)));
     }
 
-    int end_of(int tile) const { return (tile + 1) * TILE < rows ? (tile + 1) * TILE : rows; }
     int tiles() const { return (rows + TILE - 1) / TILE; }
+    static int num_corners(int rows, int columns) {
+        return ((rows + TILE - 1) / TILE + 1) * (columns + 1);
+    }
 
     // Adds the nearest point of a tile to the sectors between its corners, or to all sectors if the
     // tile may contain the foot.
@@ -397,41 +402,27 @@ struct RayBlocks {
         }
     }
 
-    void run(const Rays& to) const {
+    // Adds all tiles; `bearings` has a word per corner. Ends in a sync.
+    void run(const Rays& to, int* bearings) const {
         const Team& team = to.team;
-#if defined(__CUDA_ARCH__)
-        for (int k = team.rank; k < tiles() * columns; k += team.size) {
-            const int tile = k / columns, c = k % columns;
-            int least = Rays::INFINITE;
-            for (int row = tile * TILE; row < end_of(tile); ++row)
-                find_least<1>(row * columns + c, &least);
-            if (least == Rays::INFINITE) continue;
-            add(to, least, bearing(to, tile, c), bearing(to, tile, c + 1),
-                bearing(to, tile + 1, c), bearing(to, tile + 1, c + 1));
-        }
-#else
-        int bearings[2][Grid::MOST_COLUMNS + 1], least[Grid::MOST_COLUMNS];
-        for (int c = 0; c <= columns; ++c) bearings[0][c] = bearing(to, 0, c);
-        for (int tile = 0; tile < tiles(); ++tile) {
-            for (int c = 0; c < columns; ++c) least[c] = Rays::INFINITE;
-            for (int row = tile * TILE; row < end_of(tile); ++row) {
-                for (int c = 0; c < columns; c += columns < ABREAST ? 1 : (int)ABREAST) {
-                    // The last vector overlaps the one before it if the row is not a multiple of its
-                    // length.
-                    const int first = c < columns - ABREAST ? c : columns - ABREAST;
-                    if (first < 0)
-                        find_least<1>(row * columns + c, least + c);
-                    else
-                        find_least<ABREAST>(row * columns + first, least + first);
-                }
+        const int all = num_corners(rows, columns), groups = (columns + ABREAST - 1) / ABREAST;
+        JAXDET_VECTORIZE
+        for (int k = team.rank; k < all; k += team.size) bearings[k] = bearing(to, k);
+        team.sync();
+        for (int group = team.rank; group < tiles() * groups; group += team.size) {
+            const int tile = group / groups, first = group % groups * ABREAST;
+            const int n = columns - first < ABREAST ? columns - first : (int)ABREAST;
+            int least[ABREAST];
+            for (int i = 0; i < n; ++i) least[i] = Rays::INFINITE;
+            for (int row = tile * TILE; row < rows && row < (tile + 1) * TILE; ++row)
+                find_least(row * columns + first, n, least);
+            for (int i = 0; i < n; ++i) {
+                const int* const upper = bearings + tile * (columns + 1) + first + i;
+                const int* const lower = upper + columns + 1;
+                if (least[i] != Rays::INFINITE)
+                    add(to, least[i], upper[0], upper[1], lower[0], lower[1]);
             }
-            const int *const upper = bearings[tile & 1], *const lower = bearings[~tile & 1];
-            for (int c = 0; c <= columns; ++c) bearings[~tile & 1][c] = bearing(to, tile + 1, c);
-            for (int c = 0; c < columns; ++c)
-                if (least[c] != Rays::INFINITE)
-                    add(to, least[c], upper[c], upper[c + 1], lower[c], lower[c + 1]);
         }
-#endif
         team.sync();
     }
 };

@@ -14,22 +14,11 @@ struct Runs {
     UnionFind sets;      // components of runs
     int* sizes;          // number of cells of a component, indexed by its root
 
-    // Computes `before`; returns the number of runs. A collective call, after a sync; ends in a sync.
-    int count(const Team& team) const {
-        const int words = starts.count();
-        for (int i = team.rank; i < words; i += team.size) before[i] = BitRows::popcount(starts[i]);
-        team.sync();
-        const Warp warp(team);
-        if (warp.index == 0) warp.exclusive_sum(before, words);
-        team.sync();
-        return before[words];
-    }
-
     // Numbers the runs, each of which becomes its own component; returns their number. A collective
     // call, after a sync; ends in a sync. `near` has room for the parents of `most` runs and is used if
     // there are at most that many.
     int number(const Team& team, int* near, int most) {
-        const int count = this->count(team);
+        const int count = count_before(team, starts, before);
         if (count <= most) sets.parent = near;
         for (int run = team.rank; run < count; run += team.size) {
             sets.parent[run] = run;

@@ -87,26 +87,6 @@ struct Surfaces {
         }
     };
 
-    // Transforms the cell at (a, b, d) to the floor frame and classifies it; returns whether it is
-    // kept. Cells no higher than `rise` are floor.
-    __attribute__((always_inline)) bool place(
-        const FloorFrame& frame, bool has_ramp, int k, int a, int b, int d, int rise
-    ) const {
-        const int ahead = frame.forward(a, b, d);
-        int high = frame.level(a, b, d);
-        if (has_ramp) high -= frame.rise(ahead);
-        const bool above = high > rise;
-        const bool below = (high <= settings[HIGHEST]) | !frame.valid;
-        const bool on = (d >= settings[NEAREST]) & (d <= settings[FARTHEST]) & above & below;
-        right[k] = frame.right(a, b, d);
-        forward[k] = ahead;
-        height[k] = high;
-        keep[k] = on;
-        free[k] = (d >= settings[NEAREST]) & !on;
-        low[k] = (d > 0) & !above;
-        return on;
-    }
-
     // Increase of the floor's tolerance per depth unit of z that noise causes, with SLOPE_BITS fraction
     // bits.
     static int noise(const FloorFrame& frame, int setting) {
@@ -117,143 +97,73 @@ struct Surfaces {
 
     static int higher(int a, int b) { return a > b ? a : b; }
 
-    bool in_range(int d) const { return (d >= settings[NEAREST]) & (d <= settings[IN_RANGE]); }
-
-    // Transforms and classifies all cells; returns whether the depth of any of this thread's cells is
-    // in range.
+    // Transforms all cells to the floor frame and classifies them; returns whether the depth of any of
+    // this thread's cells is in range.
     bool start(const Team& team, const Parts& in) const {
-        int some = 0;
-        const FloorFrame frame(floor);
-        const int slope = noise(frame, settings[NOISE]);
         in.grid.frame(team, in.depth, Creases::NONE);
-#if defined(__CUDA_ARCH__)
-        const Warp warp(team);
-        const int words = in.kept.words, all = rows * words;
-        in.kept.clear_padding(team);
-        for (int first = warp.index * AHEAD; first < all; first += warp.count * AHEAD) {
-            int at[AHEAD], a[AHEAD], b[AHEAD], d[AHEAD], rise[AHEAD];
-            for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k, c = i % words * BitRows::WIDTH + warp.lane;
-                at[k] = i < all && c < columns ? i / words * columns + c : -1;
-                const int there = at[k] < 0 ? 0 : at[k];
-                a[k] = x[there], b[k] = y[there], d[k] = z[there];
-            }
-            for (int k = 0; k < AHEAD; ++k) rise[k] = higher(rises[d[k]], d[k] * slope >> SLOPE_BITS);
-            for (int k = 0; k < AHEAD; ++k) {
-                const bool on = at[k] >= 0 && place(frame, frame.has_ramp(), at[k], a[k], b[k], d[k],
-                                                    rise[k]);
-                some |= (at[k] >= 0) & in_range(d[k]);
-                const unsigned those = warp.ballot(on);
-                const int i = first + k;
-                if (warp.lane == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
-            }
-        }
-        team.sync();
-#else
-        in.grid.frame(team, in.other, Creases::NONE);
-        for (int r = 0; r < rows; ++r) {
-            // has_ramp is a compile-time constant in each call, so the loop has no branch.
-            some |= frame.has_ramp() ? place_row(in, frame, true, slope, r)
-                                     : place_row(in, frame, false, slope, r);
-            for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
-                const int c = in.kept.column(i);
-                in.kept[i] = BitRows::packed(keep + r * columns + c, 0, columns - c);
-            }
-        }
-#endif
-        return some;
+        if (Warp::size == 1) in.grid.frame(team, in.other, Creases::NONE);
+        const FloorFrame frame(floor);
+        return frame.has_ramp() ? place<true>(team, in, frame) : place<false>(team, in, frame);
     }
 
-#if !defined(__CUDA_ARCH__)
-    // Transforms and classifies a row of cells; returns whether the depth of any is in range.
-    __attribute__((always_inline)) int place_row(
-        const Parts& in, const FloorFrame& frame, bool has_ramp, int slope, int r
-    ) const {
-        const int first = r * columns;
-        int* const depth = in.depth + in.grid.row(r);
+    template <bool HAS_RAMP>
+    bool place(const Team& team, const Parts& in, const FloorFrame& frame) const {
+        const int slope = noise(frame, settings[NOISE]), nearest = settings[NEAREST];
+        const int farthest = settings[FARTHEST], in_range = settings[IN_RANGE];
+        const int highest = frame.valid ? settings[HIGHEST] : (int)UNSEEN;
         int some = 0;
-#if defined(__clang__)
-#pragma clang loop vectorize(assume_safety)
-#endif
-        for (int c = 0; c < columns; ++c) {
-            const int k = first + c, d = z[k];
-            place(frame, has_ramp, k, x[k], y[k], d, higher(rises[d], d * slope >> SLOPE_BITS));
-            depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
-            some |= in_range(d);
-        }
+        Warp(team).fill(in.kept, [&](int i, int bit) {
+            const int k = in.kept.cell(i, bit);
+            const int a = Team::input(x + k), b = Team::input(y + k), d = Team::input(z + k);
+            const int ahead = frame.forward(a, b, d);
+            const int high = frame.level(a, b, d) - (HAS_RAMP ? frame.rise(ahead) : 0);
+            const int rise = higher(Team::input(rises + d), d * slope >> SLOPE_BITS);
+            const bool above = high > rise, beyond = d >= nearest;
+            const bool on = beyond & (d <= farthest) & above & (high <= highest);
+            right[k] = frame.right(a, b, d);
+            forward[k] = ahead;
+            height[k] = high;
+            keep[k] = on;
+            free[k] = beyond & !on;
+            low[k] = (d > 0) & !above;
+            some |= beyond & (d <= in_range);
+            // On the CPU, `Creases` reads its depths from here.
+            if (Warp::size == 1)
+                in.depth[in.grid.row(in.kept.row(i)) + in.kept.column(i) + bit] =
+                    d > 0 ? d << Creases::BITS : (int)Creases::NONE;
+            return on;
+        });
+        team.sync();
         return some;
     }
-#endif
 
     static bool is_near(int z_one, int z_other, int step_one, int step_other) {
         return Creases::apart(z_one, z_other) <= (step_one < step_other ? step_one : step_other);
     }
 
-    // Finds the first cells of runs of linked cells, and the cells linked to the one above.
-#if defined(__CUDA_ARCH__)
-    void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up,
-                    const Parts&) const {
-        // Each lane tests whether a word has cells; then all lanes process FEW such words at a time.
+    // Finds the first cells of runs of linked cells, and the cells linked to the one above. Ends in a
+    // sync.
+    void find_links(const Team& team, const Parts& in) const {
+        const BitRows &on = in.on, &starts = in.starts, &up = in.up;
         const Warp warp(team);
-        for (int first = warp.index * Warp::size; first < on.count();
-             first += warp.count * Warp::size) {
-            const int own = first + warp.lane;
-            unsigned goes_on = 0, linked = 0;
-            for (unsigned rest = warp.ballot(own < on.count() && on[own]); rest;) {
-                int word[FEW], here[FEW], before[FEW], above[FEW];
-                for (int k = 0; k < FEW; ++k, rest &= rest - 1) {
-                    word[k] = rest ? first + BitRows::lowest(rest) : -1;
-                    const int c = on.column(word[k]) + warp.lane;
-                    const bool there = word[k] >= 0 && c < columns;
-                    const int at = there ? on.row(word[k]) * columns + c : 0;
-                    here[k] = z[at];
-                    before[k] = z[at > 0 ? at - 1 : 0];
-                    above[k] = z[at < columns ? 0 : at - columns];
-                }
-                int step[FEW], step_before[FEW], step_above[FEW];
-                for (int k = 0; k < FEW; ++k) {
-                    step[k] = steps[here[k]];
-                    step_before[k] = steps[before[k]];
-                    step_above[k] = steps[above[k]];
-                }
-                for (int k = 0; k < FEW; ++k) {
-                    const bool in_row = is_near(here[k], before[k], step[k], step_before[k]);
-                    const bool below = is_near(here[k], above[k], step[k], step_above[k]);
-                    const unsigned those_in_row = warp.ballot(in_row), those = warp.ballot(below);
-                    if (word[k] == own) goes_on = those_in_row, linked = those;
-                }
-            }
-            if (own >= on.count()) continue;
-            starts[own] = on[own] & ~(on.before(own) & goes_on);
-            up[own] = on[own] & on.above(own) & linked;
-        }
+        // Whether the depth of a cell is near that of an earlier cell: `apart` cells before it in the
+        // image, and `away` cells in grids with margins. The first cells of the image, whose result is not
+        // used, are compared with themselves or, on the CPU, with words of the array before `z`.
+        const auto is_linked = [&](int i, int k, int apart, int away) {
+            const int first = on.cell(i, 0), place = in.grid.row(on.row(i)) + on.column(i) + k;
+            const int back = Warp::size > 1 && first + k < apart ? 0 : apart;
+            const int one = z[first + k], two = z[first + k - back];
+            return Warp::size > 1 ? is_near(one, two, steps[one], steps[two])
+                                  : is_near(one, two, in.step[place], in.step[place - away]);
+        };
+        warp.fill(starts, [&](int i) { return on[i] & on.before(i); },
+                  [&](int i, int k) { return is_linked(i, k, 1, 1); });
+        warp.fill(up, [&](int i) { return on[i] & on.above(i); },
+                  [&](int i, int k) { return is_linked(i, k, columns, in.grid.stride); });
+        team.sync();
+        for (int i = team.rank; i < on.count(); i += team.size) starts[i] = on[i] & ~starts[i];
         team.sync();
     }
-#else
-    void find_links(const Team&, const BitRows& on, const BitRows& starts, const BitRows& up,
-                    const Parts& in) const {
-        unsigned char row[Grid::MOST_COLUMNS];
-        for (int r = 0; r < rows; ++r) {
-            const int at = in.grid.row(r), over = r ? r - 1 : 0, at_over = in.grid.row(over);
-            const int *own = z + r * columns, *above = z + over * columns;
-            row[0] = is_near(own[0], above[0], in.step[at], in.step[at_over]) << 1;
-            const int *step = in.step + at, *step_above = in.step + at_over;
-#if defined(__clang__)
-#pragma clang loop vectorize(assume_safety)
-#endif
-            for (int c = 1; c < columns; ++c)
-                row[c] = is_near(own[c], own[c - 1], step[c], step[c - 1]) |
-                         is_near(own[c], above[c], step[c], step_above[c]) << 1;
-            for (int i = on.at(r, 0); i < on.at(r + 1, 0); ++i) {
-                const int c = on.column(i);
-                const unsigned goes_on = BitRows::packed(row + c, 0, columns - c);
-                const unsigned linked = BitRows::packed(row + c, 1, columns - c);
-                starts[i] = on[i] & ~(on.before(i) & goes_on);
-                up[i] = on[i] & on.above(i) & linked;
-            }
-        }
-    }
-#endif
 
     // Links cells of a row or a column across holes (unmeasured cells), if depth is continuous.
     void link_across_holes(const Team& team, const Runs& runs) const {
@@ -580,7 +490,7 @@ struct Surfaces {
                 team.atomic_or((int*)firsts.bits + word_of(in.first[run]),
                                (int)bit_of(in.first[run]));
         team.sync();
-        const int count = runs.count(team);
+        const int count = count_before(team, firsts, runs.before);
         if (team.rank == 0) *count_out = count;
         int* const numbers = in.level;
         for (int run = team.rank; run < all; run += team.size) {
@@ -621,9 +531,7 @@ struct Surfaces {
         const BitRows crease = creases.run(team);
         for (int i = team.rank; i < on.count(); i += team.size) on[i] = kept[i] & ~crease[i];
         team.sync();
-        starts.clear_padding(team);
-        up.clear_padding(team);
-        find_links(team, on, starts, up, in);
+        find_links(team, in);
         Runs runs = {on, starts, in.before, {in.parent}, in.sizes};
         const int all = label(team, in, runs, up, up);
         const BitRows has = grow(team, kept, up, on);

@@ -16,6 +16,20 @@
 #include <stddef.h>
 #endif
 
+// Memory of a function that the threads of a team share; a cache line or more on the CPU's stack.
+#if defined(__CUDA_ARCH__)
+#define JAXDET_SHARED __shared__ __align__(16)
+#else
+#define JAXDET_SHARED alignas(16)
+#endif
+
+// Before a loop that may be vectorized on the CPU although its pointers might overlap.
+#if defined(__clang__)
+#define JAXDET_VECTORIZE _Pragma("clang loop vectorize(assume_safety)")
+#else
+#define JAXDET_VECTORIZE
+#endif
+
 namespace jaxdet { namespace {
 
 struct Team {
@@ -35,9 +49,7 @@ struct Team {
     bool any(bool mine) const { return __syncthreads_or(mine); }
 
     static int input(const int* place) { return __ldg(place); }
-    static bool input(const bool* place) { return __ldg((const unsigned char*)place); }
     static unsigned char input(const unsigned char* place) { return __ldg(place); }
-    static unsigned long long input(const unsigned long long* place) { return __ldg(place); }
 
     int atomic_add(int* place, int value) const { return atomicAdd(place, value); }
     int atomic_min(int* place, int value) const { return atomicMin(place, value); }
@@ -70,14 +82,7 @@ struct Team {
     bool any(bool mine) const { return mine; }
 
     static int input(const int* place) { return *place; }
-    static bool input(const bool* place) { return *place; }
     static unsigned char input(const unsigned char* place) { return *place; }
-    // Also valid for eight bytes that were written as smaller types.
-    static unsigned long long input(const unsigned long long* place) {
-        unsigned long long word;
-        __builtin_memcpy(&word, place, sizeof word);
-        return word;
-    }
 
     static int replace(int* place, int value) {
         const int before = *place;
@@ -125,15 +130,14 @@ template <class Work> void each_frame(int* next, int frames, Work work) {
 template <class Near, class Work>
 void by_frames(int tid, int frames, int* next, int* scratch, int words, Work work) {
     const Team team(tid, 0);
+    JAXDET_SHARED Near near;
 #if defined(__CUDA_ARCH__)
-    __shared__ Near near;
     int* const own = scratch + (size_t)team.index * (words / gridDim.x);
     for (int b = team.index; b < frames; b += gridDim.x) {
         work((size_t)b, team, near, own);
         team.sync();
     }
 #else
-    Near near;
     each_frame(next, frames, [&](size_t b) { work(b, team, near, scratch); });
 #endif
 }

@@ -89,6 +89,46 @@ struct Warp {
 #endif
     }
 
+    // Sets a bitmap: bit k of word i becomes `test(i, k)` if it is set in `used(i)`, otherwise 0. Tests
+    // of other bits may be called too, any number of times. On CUDA the tests of AHEAD words come before
+    // their ballots, so that their loads overlap. The team must sync afterwards.
+    template <class Used, class Test> void fill(const BitRows& out, Used used, Test test) const {
+#if defined(__CUDA_ARCH__)
+        enum { AHEAD = 4 };
+        for (int first = index; first < out.count(); first += AHEAD * count) {
+            unsigned own[AHEAD];
+            bool holds[AHEAD], any = false;
+            for (int n = 0; n < AHEAD; ++n) {
+                const int i = first + n * count, cells = i < out.count() ? out.cells(i) : 0;
+                own[n] = cells ? used(i) & ALL >> (size - cells) : 0;
+                any |= own[n] != 0;
+            }
+            for (int n = 0; any && n < AHEAD; ++n) {
+                const bool mine = own[n] >> lane & 1;
+                holds[n] = test(mine ? first + n * count : 0, mine ? lane : 0);
+            }
+            for (int n = 0; n < AHEAD; ++n) {
+                if (any) own[n] &= ballot(holds[n]);
+                if (lane == 0 && first + n * count < out.count()) out[first + n * count] = own[n];
+            }
+        }
+#else
+        for (int i = 0; i < out.count(); ++i) {
+            const int cells = out.cells(i);
+            const unsigned own = cells ? used(i) : 0;
+            out[i] = 0;
+            if (!own) continue;
+            unsigned char holds[BitRows::WIDTH];
+            JAXDET_VECTORIZE
+            for (int k = 0; k < cells; ++k) holds[k] = test(i, k);
+            out[i] = BitRows::packed(holds, 0, cells) & own;
+        }
+#endif
+    }
+    template <class Test> void fill(const BitRows& out, Test test) const {
+        fill(out, [](int) { return ~0u; }, test);
+    }
+
     // Calls `use(i)` for each bit i of a word that is set.
     template <class Use> void each_bit(unsigned word, Use use) const {
 #if defined(__CUDA_ARCH__)
@@ -119,6 +159,18 @@ struct Warp {
         return before;
     }
 };
+
+// Computes the number of set bits before each word of a bitmap and, in the last element, of all bits,
+// which is returned. A collective call of the team, after a sync; ends in a sync.
+inline int count_before(const Team& team, const BitRows& bits, int* before) {
+    const int words = bits.count();
+    for (int i = team.rank; i < words; i += team.size) before[i] = BitRows::popcount(bits[i]);
+    team.sync();
+    const Warp warp(team);
+    if (warp.index == 0) warp.exclusive_sum(before, words);
+    team.sync();
+    return before[words];
+}
 
 // Running minimum and maximum.
 struct Extremes {
