@@ -354,7 +354,7 @@ def test_renamed_logs_are_recognized_by_their_content(whole: Path, tmp_path: Pat
     assert not report.findings and report.frames_of_logs == 2 * FRAMES
     content = (folder / "c.mcap").read_bytes()
     (folder / "c.mcap").write_bytes(content[:-1])
-    known = "no log 'c', but a, b; logs are identified by name, else by content"
+    known = "no log 'c'; their logs are a, b; logs are identified by name, else by content"
     with pytest.raises(InputError, match=known):
         verify(folder / "out", [str(folder / "*.mcap")], sample=1)
 
