@@ -17,7 +17,7 @@ from jaxdet.engine import device, unit
 from jaxdet.engine.output import OutputFolder
 from jaxdet.results import publish
 from jaxdet.results.durable import sha256
-from jaxdet.results.layout import RUN, is_run
+from jaxdet.results.layout import RUN, is_complete, is_run, log_folders
 from jaxdet.results.manifest import read_manifest
 from jaxdet.results.reading import open_results
 from jaxdet.sim import SimConfig, write_log
@@ -47,12 +47,14 @@ def check(output: Path, wanted: set[tuple[str, ...]]) -> None:
         assert not [*output.glob("*/manifest.json")]
         return
     with open_results(output) as results:
-        for folder, manifest in results.manifests.items():
-            assert read_manifest(folder) == manifest
-            files_of = manifest["files"]
-            assert all(sha256(folder / name) == about["sha256"] for name, about in files_of.items())
-            own = tuple(about["sha256"] for n, about in files_of.items() if n not in TIMES)
-            assert own in wanted, folder
+        names = {folder.name for folder in results.manifests} | {*results.stale}
+    found = {name: folder for name, folder in log_folders(output).items() if is_complete(folder)}
+    assert names == {*found}
+    for folder in found.values():
+        files_of = read_manifest(folder)["files"]
+        assert all(sha256(folder / name) == about["sha256"] for name, about in files_of.items())
+        own = tuple(about["sha256"] for n, about in files_of.items() if n not in TIMES)
+        assert own in wanted, folder
 
 
 def kinds(output: Path) -> set[tuple[str, ...]]:

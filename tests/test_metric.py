@@ -145,13 +145,6 @@ def test_positions_for_an_unknown_pose_are_nan() -> None:
     assert np.isnan(found).all()
 
 
-def test_the_distance_of_an_obstacle_is_that_of_the_nearest_of_a_b_and_c():
-    near = [(300, 400), (0, 1000), (0, 900)]
-    for turn in range(3):
-        points = near[turn:] + near[:turn]
-        assert metric.point_distances(outline(*points)).tolist() == [[500.0]]
-
-
 @pytest.mark.parametrize(
     ("corners", "distance"),
     [

@@ -16,6 +16,7 @@ from jaxdet.engine import process_log, run_one, scheduler
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, OutputError, ResultsError
 from jaxdet.io import Batch
 from jaxdet.results import publish as publishing
+from jaxdet.results.layout import log_folders
 from jaxdet.results.names import log_name
 from jaxdet.results.reading import open_results
 from jaxdet.sim import SimConfig, write_log
@@ -346,18 +347,22 @@ def test_a_folder_whose_replacement_was_interrupted_is_read_and_moved(
 ):
     """The file system cannot exchange folders, and the process ends during the replacement."""
 
-    def broken(*_: Path) -> None:
-        raise OSError(5, "Input/output error")
+    def broken(staged: Path, place: Path) -> bool:
+        if not place.exists():
+            raise OSError(5, "Input/output error")
+        return False
 
     monkeypatch.setattr(publishing, "exchange", lambda one, other: False)
     with monkeypatch.context() as patch:
-        patch.setattr(publishing, "_move", broken)
+        patch.setattr(publishing, "rename_if_absent", broken)
         with pytest.raises(OutputError, match="Input/output error"):
             run_logs(logs, copy, overwrite=True, **(HOW | {"pictures": 0}))
+    aside = log_folders(copy)[log_name("Day 2/c")]
+    assert aside.parent.parent == copy / ".jaxdet"
+    with open_results(aside) as results:
+        assert results.tables().frames.num_rows == 3
     with open_results(copy) as results:
-        (log,) = results.logs
-        assert log.folder == copy / ".jaxdet" / "ready" / log_name("Day 2/c")
-        assert results.tables().frames.num_rows == 3 and len(results.stale) == 2
+        assert len(results.stale) == 3
     run_logs(logs, copy, overwrite=True, **(HOW | {"pictures": 0}))
     assert not (copy / ".jaxdet").exists() and not [*copy.glob("*/pictures")]
     with open_results(copy) as results:

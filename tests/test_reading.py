@@ -15,9 +15,10 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions
 from jaxdet.results import reading, writer
+from jaxdet.results.manifest import read_manifest, write_manifest
 from jaxdet.results.metadata import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
 from jaxdet.results.names import camera_name, export_name, log_name
-from jaxdet.results.reading import ResultLog, Results
+from jaxdet.results.reading import Results
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.sim import SimConfig, write_log
 from tests.made_results import make_results
@@ -172,6 +173,18 @@ def test_logs_that_are_not_finished_are_not_listed(folder: Path, tmp_path: Path)
         Results(copy)
 
 
+def test_the_configuration_is_not_that_of_results_to_be_overwritten(folder, tmp_path) -> None:
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    config = json.loads((copy / "a/config.json").read_text("utf-8"))
+    config["ground"]["max_depth_m"] = 9.0
+    (copy / "a/config.json").write_text(json.dumps(config), encoding="utf-8")
+    about = {key: read_manifest(copy / "a")[key] for key in ("log", "inputs")}
+    write_manifest(copy / "a", {**about, "run": "of another configuration"})
+    with Results(copy) as results:
+        assert results.stale == ["a"] and [log.name for log in results.logs] == ["b"]
+        assert results.method == CONFIG and [path.name for path in results.manifests] == ["b"]
+
+
 def test_names_in_received_results_cannot_leave_the_folder(folder: Path, tmp_path: Path) -> None:
     """Such names are refused before a file is read or written."""
     copy = copied(folder, tmp_path / "copy")
@@ -249,24 +262,6 @@ def test_damaged_rows_are_an_error(folder: Path, tmp_path: Path) -> None:
     (torn / "obstacles.parquet").write_bytes(data)
     with Results(torn) as results, pytest.raises(InputError, match="can't be read"):
         list(results.frames())
-
-
-@pytest.mark.parametrize(
-    ("path", "described", "expected"),
-    [
-        ("/a/kitchen", {"is_folder": True}, False),
-        ("/a/drive", {"is_folder": False}, True),
-        ("/a/kitchen", {}, False),
-        ("/a/drive.MCAP", {}, True),
-    ],
-)
-def test_results_of_older_versions_do_not_record_image_folders(
-    path: str, described: dict[str, bool], expected: bool
-) -> None:
-    about = {"pose_source": "poses: TF from map", **described}
-    entry = {"paths": [path], "description": about}
-    log = ResultLog("a", "c", "a", Path(), False, entry, 0, 0)
-    assert log.poses_from_tf is expected
 
 
 def test_different_logs_have_different_folders() -> None:

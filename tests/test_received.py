@@ -36,7 +36,11 @@ def rewrite(table: Path, column: str, value: pa.Scalar, nullable: bool) -> None:
 @pytest.mark.parametrize(
     ("column", "value", "says"),
     [
-        ("moving", pa.scalar(None, pa.bool_()), "column moving has nulls"),
+        (
+            "moving",
+            pa.scalar(None, pa.bool_()),
+            "column moving is missing, or not",
+        ),
         ("max_speed_mps", pa.scalar(float("nan"), pa.float32()), "is not finite"),
     ],
 )

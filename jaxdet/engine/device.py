@@ -10,7 +10,7 @@ from jaxdet.config import Config
 from jaxdet.engine.slots import SLOTS, GpuPipe, Piece, Reply, Served, attached
 from jaxdet.engine.startup import computing
 from jaxdet.pipeline import BackendName, detect
-from jaxdet.results.rows import RowInputs, row_inputs, to_host
+from jaxdet.results.rows import row_inputs, to_host
 from jaxdet.types import Detections, Frames
 
 if TYPE_CHECKING:
@@ -24,8 +24,9 @@ ImageMemory = Callable[[], np.ndarray | tuple[np.ndarray, np.ndarray]]
 class Found(NamedTuple):
     """Detections of a batch, on the host."""
 
-    inputs: RowInputs
-    """Part of the detections from which rows are made."""
+    inputs: Detections
+    """Part of the detections from which rows are made, see
+    :func:`jaxdet.results.rows.row_inputs`."""
     detections: Detections | None = None
     """All detections; None from GPUs of another process."""
     busy_s: Mapping[str, float] = MappingProxyType({})

@@ -197,7 +197,7 @@ class OutputFolder:
                 raise ResultsError(str(self.output), folder.name, reason=f"{RUN} is missing")
             self._check_own(folder)
             return None
-        if not same_inputs(manifest.get("inputs"), [fingerprint(path) for path in log.paths]):
+        if not same_inputs(manifest["inputs"], [fingerprint(path) for path in log.paths]):
             if update:
                 return None
             error = ResultsError(str(self.output), folder.name, reason="the log has changed")

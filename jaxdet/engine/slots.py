@@ -16,8 +16,8 @@ import numpy as np
 
 from jaxdet.config import Config
 from jaxdet.errors import WorkerError
-from jaxdet.results.rows import RowInputs, map_leaves
-from jaxdet.types import Calibration, GroundPlane
+from jaxdet.results.rows import map_leaves
+from jaxdet.types import Calibration, Detections, GroundPlane
 
 SLOTS = 4
 """Number of slots of each worker: it decodes into one slot while the other three are copied,
@@ -84,7 +84,7 @@ class Served(NamedTuple):
     number: int = 0
     """Number that identifies the memory, as a path is used again after memory is freed."""
     results: Any = None
-    """:class:`jaxdet.results.rows.RowInputs` of the types of a frame's results, with shapes; None
+    """:class:`jaxdet.types.Detections` of the types of a frame's results, with shapes; None
     until the memory exists."""
 
     @property
@@ -124,7 +124,7 @@ class Served(NamedTuple):
             found.append(Slot(images, results))
         return found
 
-    def unpacked(self, rows: np.ndarray) -> RowInputs:
+    def unpacked(self, rows: np.ndarray) -> Detections:
         """Return the arrays in results ``(B, ints)``; only boolean ones are copied."""
         start = 0
 

@@ -20,7 +20,6 @@ from jaxdet.results.durable import writing
 from jaxdet.results.metric import rectangles
 from jaxdet.results.occupancy import OccupancyMap
 from jaxdet.results.rows import (
-    RowInputs,
     batch_rows,
     joined_inputs,
     no_inputs,
@@ -133,7 +132,7 @@ class _ResultBuilder:
 
     def __init__(self, plan: LogPlan, unit: Unit) -> None:
         self.plan, self.unit = plan, unit
-        self.held: list[tuple[Batch, GroundPlane, RowInputs]] = []
+        self.held: list[tuple[Batch, GroundPlane, Detections]] = []
         """Inputs of the rows of each batch."""
         self.errors: list[str] = []
         self.pictures: list[str] = []

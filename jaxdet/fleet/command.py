@@ -2,14 +2,15 @@
 
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
+from functools import partial
 from os import PathLike
 from typing import Any
 
 from jaxdet.engine.progress import Progress, ProgressCallback
 from jaxdet.errors import ConfigError
-from jaxdet.fleet.logs import Log, list_logs, share_of, size_of
+from jaxdet.fleet.logs import list_logs, share_of, size_of
 from jaxdet.fleet.place import address
 from jaxdet.fleet.run_log import prepare, run_logs
 from jaxdet.memory import size_text
@@ -50,9 +51,15 @@ def run_fleet(
     place = address(output)
     logs = list_logs(inputs, join=join)
     logs = share_of(logs, share) if share else logs
+    logs.sort(key=size_of, reverse=True)
+    run: Callable[..., Iterator[dict[str, Any]]] = run_logs
+    if on:
+        from jaxdet.fleet.ray import run_on_ray
+
+        run = partial(run_on_ray, where=on)
     found, failed, size, begin = [], 0, 0, time.monotonic()
     with redirect_stdout(sys.stderr):  # Ray's messages about workers
-        for outcome in _outcomes(logs, place, prepare(place, how), on):
+        for outcome in run(logs, place, prepare(place, how)):
             found.append(outcome)
             failed += outcome["state"] == "failed"
             size += outcome["bytes"] * (outcome["state"] == "done")
@@ -62,13 +69,3 @@ def run_fleet(
                 now = outcome["log"], len(found) - 1, len(logs), 0, 0, 0, None
                 progress(Progress(*now, doing=rate, **counts))
     return sorted(found, key=lambda outcome: outcome["name"])
-
-
-def _outcomes(
-    logs: list[Log], place: str, how: Mapping[str, Any], on: str | None
-) -> Iterator[dict[str, Any]]:
-    if not on:
-        return run_logs(sorted(logs, key=size_of, reverse=True), place, how)
-    from jaxdet.fleet.ray import run_on_ray
-
-    return run_on_ray(logs, place, how, on)

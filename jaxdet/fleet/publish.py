@@ -2,17 +2,14 @@
 
 In a bucket::
 
-    RESULTS/run.json                          configuration and versions, created once
-    RESULTS/LOG/current.json                  the current version, swapped by If-Match
-    RESULTS/LOG/VERSION/manifest.json         names the valid attempt; written last, if absent
-    RESULTS/LOG/VERSION/ATTEMPT/...           a results folder as on one machine
-    RESULTS/LOG/VERSION/tracks.json, tracks-ATTEMPT/...    the same for its tracks
-    RESULTS/LOG/VERSION/attempts/ATTEMPT      note of an attempt in progress
-    RESULTS/LOG/VERSION/failed.json           why there are no results
+    RESULTS/run.json                       configuration and versions, created once
+    RESULTS/LOG/current.json               names the valid attempt, or says why there is none
+    RESULTS/LOG/ATTEMPT/...                a results folder as on one machine
+    RESULTS/LOG/attempts/VERSION/ATTEMPT   note of an attempt in progress
 
 ``VERSION`` is a checksum of input, configuration, jaxdet's version and the last ``--overwrite``.
-Each attempt writes under its own name, so two never mix, even if their files differ. An attempt
-that finds a manifest, or another ``current.json`` than when it began, removes its own files.
+Each attempt writes under its own name, and then makes ``current.json`` name it, if that is still as
+it was when the attempt began. Otherwise it removes its files.
 
 In a folder, a log has the layout of local runs, renamed into place; ``.fleet`` holds attempts.
 """
@@ -28,18 +25,17 @@ from typing import Any, NamedTuple
 from jaxdet.errors import InputError
 from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
-from jaxdet.results.durable import sha256, writing
+from jaxdet.results.durable import writing
 from jaxdet.results.layout import FAILED, FLEET, MANIFEST
 from jaxdet.results.publish import finish, publish, remove
 
-TRACKS, CURRENT = "tracks.json", "current.json"
+CURRENT = "current.json"
 MOST_KILLED = 3
 """Number of killed processes after which a log counts as failed."""
 MOST_LOST = 9
 """Number of killed processes and of attempts lost with their machines within a day, together, after
 which a log counts as failed."""
 _DAY_S = 86400.0
-_NOTES = f"{FLEET}/"
 _UPLOADS = 8
 
 
@@ -52,11 +48,6 @@ class Target(NamedTuple):
     record: str
     """Checksum of the configuration, the versions and the last ``--overwrite``."""
 
-    @property
-    def base(self) -> str:
-        """Prefix of the keys of the version's objects."""
-        return f"{self.name}/{self.version}"
-
 
 class Standing(NamedTuple):
     """State of the results of a log at an address."""
@@ -64,9 +55,8 @@ class Standing(NamedTuple):
     state: str
     """``new`` without results, ``whole`` or ``failed`` in this version, or ``other`` version."""
     current: Mapping[str, Any] | None = None
-    """Content of ``current.json``, or the part of it that is known in a folder."""
-    failure: Mapping[str, Any] = {}
-    """Content of ``failed.json``."""
+    """Content of ``current.json``: ``version``, ``record``, and ``attempt`` or ``failure``. In a
+    folder, ``record`` and ``failure``."""
 
 
 def open_results(url: str) -> "Results":
@@ -84,13 +74,15 @@ def version_of(record: str, files: Iterable[Entry]) -> str:
 class _Attempts:
     """Notes of the attempts that are being computed, stored next to the results."""
 
-    notes = ""
-    """Prefix of the notes' keys."""
     place: Place
+
+    def notes(self, target: Target) -> str:
+        """Return the prefix of the keys of the notes about a version."""
+        return f"{target.name}/attempts/{target.version}/"
 
     def begin(self, target: Target, attempt: str, command: str) -> str:
         """Write the note of an attempt; return the note's key."""
-        key = f"{self.notes}{target.base}/attempts/{attempt}"
+        key = self.notes(target) + attempt
         note = {"process": process(), "time": time.time(), "command": command}
         self.place.put(key, json.dumps(note).encode())
         return key
@@ -107,7 +99,7 @@ class _Attempts:
             command: Count only attempts of this command.
         """
         killed = lost = 0
-        for entry in self.place.list(f"{self.notes}{target.base}/attempts/"):
+        for entry in self.place.list(self.notes(target)):
             found = self.place.get(entry.key)
             record = json.loads(found[0]) if found else {}
             if not record or command not in (None, record["command"]):
@@ -119,6 +111,10 @@ class _Attempts:
             lost += dead is None and time.time() - record["time"] < _DAY_S
         return killed, lost
 
+    def forget(self, target: Target) -> None:
+        """Remove the notes about a version."""
+        self.place.delete([entry.key for entry in self.place.list(self.notes(target))])
+
 
 class BucketResults(_Attempts):
     """Results of logs in a bucket."""
@@ -129,15 +125,12 @@ class BucketResults(_Attempts):
     def standing(self, target: Target) -> Standing:
         """Return the results of a log."""
         current = self._json(f"{target.name}/{CURRENT}")
-        same = bool(current and current["version"] == target.version)
-        if current and same and current["state"] == "whole":
-            return Standing("whole", current)
-        if self._json(f"{target.base}/{MANIFEST}"):  # an attempt died before it wrote current.json
-            state = "whole" if self._point(target, current) else "other"
-            return Standing(state, self._json(f"{target.name}/{CURRENT}"))
-        if failure := self._json(f"{target.base}/{FAILED}"):
-            return Standing("failed", current, failure)
-        return Standing("other" if current and not same else "new", current)
+        if not current:
+            return Standing("new")
+        if current["version"] != target.version:
+            return Standing("other", current)
+        states = ("whole", "attempt"), ("failed", "failure")
+        return Standing(next((state for state, key in states if key in current), "new"), current)
 
     def stage(self, attempt: str, spool: Path) -> Path:
         """Return the path at which an attempt makes its results folder."""
@@ -156,104 +149,69 @@ class BucketResults(_Attempts):
             ``done``; ``there`` if another attempt published first; ``replaced`` if a run of another
             version did.
         """
-        first = self._upload(target.base, attempt, staged, None, MANIFEST)
-        if not self._point(target, seen.current):
-            self._clear(f"{target.base}/")
-            return "replaced"
-        if first:
-            self._clear(f"{target.base}/", keep=(f"{attempt}/", "tracks", MANIFEST))
-            if seen.current and seen.current["version"] != target.version:
-                self._clear(f"{target.name}/{seen.current['version']}/")
-        return "done" if first else "there"
-
-    def publish_tracks(self, target: Target, attempt: str, staged: Path) -> None:
-        """Add the tracks of a log, with a ``manifest.json`` that lists them too."""
-        known = (self._json(f"{target.base}/{MANIFEST}") or {"files": {}})["files"]
-        names = [name for name in _files(staged) if name not in known or name == MANIFEST]
-        self._upload(target.base, f"tracks-{attempt}", staged, names, TRACKS)
-
-    def has_tracks(self, target: Target) -> bool:
-        """Return whether a log has tracks."""
-        return self._json(f"{target.base}/{TRACKS}") is not None
+        own = f"{target.name}/{attempt}/"
+        paths = [path for path in staged.rglob("*") if path.is_file()]
+        keys = [own + path.relative_to(staged).as_posix() for path in paths]
+        with ThreadPoolExecutor(_UPLOADS) as pool:
+            for put in [pool.submit(self.place.put, *one) for one in zip(keys, paths, strict=True)]:
+                put.result()
+        state = self._point(target, {"attempt": attempt}, seen)
+        # No other attempt can be published any more that has begun before.
+        keep = (own, f"{target.name}/{CURRENT}") if state == "done" else ()
+        under = self.place.list(f"{target.name}/" if state == "done" else own)
+        self.place.delete([entry.key for entry in under if not entry.key.startswith(keep)])
+        return state
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
         """Publish why a log has no results, unless it has some."""
-        self.place.put(f"{target.base}/{FAILED}", _bytes(failure))
-        self._point(target, seen.current)
+        self._point(target, {"failure": failure}, seen)
 
-    def reopen(self, target: Target) -> None:
+    def reopen(self, target: Target, seen: Standing) -> None:
         """Remove the failure of a log and the notes of its attempts."""
-        noted = [entry.key for entry in self.place.list(f"{target.base}/attempts/")]
-        self.place.delete([*noted, f"{target.base}/{FAILED}"])
+        self.forget(target)
+        self._point(target, {}, seen)
 
     def files(self, name: str) -> dict[str, str]:
         """Return the keys of a log's files by their names in its folder; empty without results."""
-        current = self._json(f"{name}/{CURRENT}")
-        if not current or current["state"] != "whole":
-            return {}
-        base = f"{name}/{current['version']}"
-        found = {}
-        for which in (MANIFEST, TRACKS):
-            manifest = self._json(f"{base}/{which}") or {"files": {}}
-            found |= {file: f"{base}/{manifest['attempt']}/{file}" for file in manifest["files"]}
-        return found
+        current = self._json(f"{name}/{CURRENT}") or {}
+        own = f"{name}/{current.get('attempt')}"
+        manifest = self._json(f"{own}/{MANIFEST}") if "attempt" in current else None
+        names = [*manifest["files"], MANIFEST] if manifest else ()
+        return {file: f"{own}/{file}" for file in names}
 
-    def _upload(
-        self, base: str, attempt: str, staged: Path, names: list[str] | None, manifest: str
-    ) -> bool:
-        """Put files, then their manifest if there is none; otherwise remove the files again."""
-        names = _files(staged) if names is None else names
-        about = {
-            name: {"size": (staged / name).stat().st_size, "sha256": sha256(staged / name)}
-            for name in names
-        }
-        with ThreadPoolExecutor(_UPLOADS) as pool:
-            puts = [
-                pool.submit(self.place.put, f"{base}/{attempt}/{name}", staged / name)
-                for name in names
-            ]
-            for put in puts:
-                put.result()
-        content = _bytes({"attempt": attempt, "files": about})
-        if self.place.create(f"{base}/{manifest}", content):
-            return True
-        self._clear(f"{base}/{attempt}/")
-        return False
+    def _point(self, target: Target, to: Mapping[str, Any], seen: Standing) -> str:
+        """Write ``current.json``, unless another attempt has published since it was seen.
 
-    def _point(self, target: Target, seen: Mapping[str, Any] | None) -> bool:
-        """Make ``current.json`` name a version; False if a run of another version changed it."""
+        Returns:
+            See :meth:`publish`.
+        """
         key = f"{target.name}/{CURRENT}"
+        text = _bytes({"version": target.version, "record": target.record, **to})
         while True:
             found = self.place.get(key)
             before = json.loads(found[0]) if found else None
-            if before and before["version"] != target.version and before != seen:
-                return False
-            state = "whole" if self._json(f"{target.base}/{MANIFEST}") else "failed"
-            now = {"version": target.version, "record": target.record, "state": state}
-            if before == now:
-                return True
-            text = _bytes(now)
+            if before and before != seen.current:
+                if before["version"] != target.version:
+                    return "replaced"
+                if "attempt" in before:
+                    return "there"
             if self.place.swap(key, text, found[1]) if found else self.place.create(key, text):
-                return True
+                return "done"
 
     def _json(self, key: str) -> dict[str, Any] | None:
         found = self.place.get(key)
         return json.loads(found[0]) if found else None
 
-    def _clear(self, prefix: str, keep: tuple[str, ...] = ()) -> None:
-        kept = tuple(prefix + name for name in keep)
-        keys = (entry.key for entry in self.place.list(prefix))
-        self.place.delete([key for key in keys if not (kept and key.startswith(kept))])
-
 
 class FolderResults(_Attempts):
     """Results of logs in a folder that several processes or machines share."""
 
-    notes = _NOTES
-
     def __init__(self, place: Folder) -> None:
         self.place, self.root = place, place.root
         finish(self.root)
+
+    def notes(self, target: Target) -> str:
+        return f"{FLEET}/{super().notes(target)}"
 
     def standing(self, target: Target) -> Standing:
         for file, state in ((MANIFEST, "whole"), (FAILED, "failed")):
@@ -261,13 +219,12 @@ class FolderResults(_Attempts):
                 content = json.loads(found[0])
                 record = content.get("run", "") + content.get("overwrites", "")
                 inputs = map(input_entry, content.get("fetched") or content.get("inputs") or ())
-                if version_of(record, inputs) == target.version:
-                    return Standing(state, None, content if file == FAILED else {})
-                return Standing("other", {"record": record})
+                same = version_of(record, inputs) == target.version
+                return Standing(state if same else "other", {"record": record, "failure": content})
         return Standing("new")
 
     def stage(self, attempt: str, spool: Path) -> Path:
-        parent = self.root / _NOTES / "staged"
+        parent = self.root / FLEET / "staged"
         with writing(parent):
             parent.mkdir(parents=True, exist_ok=True)
             for left in parent.iterdir():
@@ -285,9 +242,9 @@ class FolderResults(_Attempts):
             (staged / FAILED).write_bytes(_bytes(failure))
         self._place(target, staged, ("whole", "failed"))
 
-    def reopen(self, target: Target) -> None:
-        noted = [entry.key for entry in self.place.list(f"{_NOTES}{target.base}/")]
-        self.place.delete([*noted, f"{target.name}/{FAILED}"])
+    def reopen(self, target: Target, seen: Standing) -> None:
+        self.forget(target)
+        self.place.delete([f"{target.name}/{FAILED}"])
 
     def _place(self, target: Target, staged: Path, unless: tuple[str, ...]) -> str:
         def is_there() -> bool:
@@ -312,8 +269,10 @@ def result_files(url: str, name: str = "obstacles.parquet") -> list[str]:
     results = open_results(url)
     if isinstance(results, FolderResults):
         return sorted(str(path) for path in results.root.glob(f"*/{name}"))
+    keys = sorted(entry.key for entry in results.place.list())
+    logs = [key.partition("/")[0] for key in keys if key.endswith(f"/{CURRENT}")]
     with ThreadPoolExecutor(32) as pool:
-        found = pool.map(results.files, _names(results.place))
+        found = pool.map(results.files, logs)
         return [f"{results.place.url}/{files[name]}" for files in found if name in files]
 
 
@@ -326,27 +285,15 @@ def download(url: str, name: str, folder: Path) -> Path:
     results = open_results(url)
     assert isinstance(results, BucketResults)
     files = results.files(name)
-    for file, key in sorted(files.items(), key=lambda item: item[0] == MANIFEST):
+    if not files:
+        raise InputError("has no results", path=f"{url}/{name}")
+    for file, key in files.items():  # the manifest is the last
         if not (found := results.place.get(key)):
             raise InputError("was replaced while it was read", path=f"{url}/{name}")
         with writing(folder / file):
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_bytes(found[0])
-    if not files:
-        raise InputError("has no results", path=f"{url}/{name}")
     return folder
-
-
-def _names(place: Place) -> list[str]:
-    return sorted(
-        entry.key.partition("/")[0] for entry in place.list() if entry.key.endswith(f"/{CURRENT}")
-    )
-
-
-def _files(folder: Path) -> list[str]:
-    """Return the files of a folder, by name."""
-    paths = (path for path in folder.rglob("*") if path.is_file())
-    return sorted(path.relative_to(folder).as_posix() for path in paths)
 
 
 def _bytes(value: Mapping[str, Any]) -> bytes:

@@ -4,12 +4,13 @@ import json
 import secrets
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import cache
+from itertools import zip_longest
 from pathlib import Path
 from threading import Event
-from typing import Any, NamedTuple
+from typing import Any
 
 from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError
 from jaxdet.fleet.logs import Log, entries_of, size_of
@@ -19,14 +20,13 @@ from jaxdet.fleet.publish import (
     MOST_LOST,
     BucketResults,
     Results,
-    Standing,
     Target,
     download,
     open_results,
     version_of,
 )
 from jaxdet.fleet.spool import Spool, check_room, sweep
-from jaxdet.results.layout import FAILED, RUN
+from jaxdet.results.layout import FAILED, RUN, TRACKS
 from jaxdet.results.publish import remove
 
 
@@ -59,60 +59,181 @@ def run_logs(logs: Sequence[Log], place: str, how: Mapping[str, Any]) -> Iterato
     At most two logs, of ``spool_size`` bytes together, are on local disk.
     """
     how = prepare(place, how) if "record" in how else _prepared(place, json.dumps(how))
-    work = _Work(open_results(address(place)), how, Event())
+    results, stop, fetching = open_results(address(place)), Event(), None
     sweep(how.get("spool"))
-    one, following = None, None
+    jobs = [_Job(log, results, how) for log in logs]
     with ThreadPoolExecutor(1) as ahead:
         try:
-            for number, log in enumerate(logs):
-                # Without room for two logs, none was fetched ahead.
-                one = (following.result() if following else None) or work.fetched(log)
-                assert one
-                following = None
-                if number + 1 < len(logs):
-                    following = ahead.submit(work.fetched, logs[number + 1], one.held)
-                outcome = one.outcome or work.computed(one)
-                one.close()
-                yield _OUTCOME | outcome
+            for job, later in zip_longest(jobs, jobs[1:]):
+                if not (fetching and fetching.result()):
+                    job.fetch(stop)  # it is the first, or there was no room for two logs
+                fetching = ahead.submit(later.fetch, stop, job.held) if later else None
+                outcome = job.outcome or job.computed()
+                job.close()
+                yield outcome
         finally:
-            work.stop.set()
-            with suppress(BaseException):
-                if following and (fetched := following.result()):
-                    fetched.close()
-            if one:
-                one.close()
+            stop.set()
+            wait([fetching] if fetching else [])
+            for job in jobs:
+                job.close()
 
 
-_OUTCOME = {"error": None, "frames": 0, "obstacles": 0, "lost": [], "warnings": []}
-_OUTCOME |= {"fetch_s": 0.0, "run_s": 0.0, "publish_s": 0.0}
+class _Job:
+    """Work on one log.
 
+    Args:
+        log: The log.
+        results: Place of the results.
+        how: Options, as returned by :func:`prepare`.
 
-class _Fetched(NamedTuple):
-    """Log on local disk, or the outcome of a log that is not needed there."""
+    Attributes:
+        outcome: Outcome of a log that needs no computing.
+        path: The log on local disk.
+        held: Number of bytes on local disk.
+    """
 
-    log: Log
-    target: Target
-    seen: Standing
-    outcome: dict[str, Any] | None = None
-    spool: Spool | None = None
-    path: Path = Path()
-    held: int = 0
-    """Bytes on local disk."""
-    seconds: float = 0.0
+    def __init__(self, log: Log, results: Results, how: Mapping[str, Any]) -> None:
+        self.log, self.results, self.how = log, results, how
+        version = version_of(how["record"], entries_of(log))
+        self.target = Target(log["name"], version, how["record"])
+        self.outcome: dict[str, Any] | None = None
+        self.spool: Spool | None = None
+        self.path, self.held, self.fetch_s = Path(), 0, 0.0
 
     def close(self) -> None:
+        """Remove the log from local disk."""
         if self.spool:
             self.spool.close()
 
-    def renamed(self, text: str) -> str:
-        """Replace the path on local disk in a text by the log's address."""
-        log = self.log
-        first = log["files"][0]["key"]
-        return text.replace(str(self.path), f"{log['url']}/{first}") if log["url"] else text
+    def fetch(self, stop: Event, held: int = 0) -> bool:
+        """Fetch the log, unless it has an outcome already.
 
-    def about(self, how: Mapping[str, Any]) -> dict[str, Any]:
+        Args:
+            stop: Set when copying must end.
+            held: Bytes of another log on local disk.
+
+        Returns:
+            False if there is no room for both logs.
+        """
+        if not self._needs_work():
+            return True
+        log, where, begin = self.log, self.how.get("spool"), time.monotonic()
+        self.held = size_of(log) if log["url"] else 0
+        try:
+            check_room(where, self.held, self.how.get("spool_size"), held)
+            self.spool = Spool(where)
+            self.path = _fetch(log, self.spool.path, stop)
+        except InputError as error:
+            if held and not self.spool:
+                return False
+            # The failure is not published, so that a later call tries again.
+            self._end("failed", error=str(error))
+        self.fetch_s = time.monotonic() - begin
+        return True
+
+    def _needs_work(self) -> bool:
+        """Return whether the log must be computed; otherwise set its outcome."""
+        how = self.how
+        self.seen = seen = self.results.standing(self.target)
+        current = seen.current or {}
+        if seen.state == "whole":
+            self._end("there", error=self._add_tracks())
+            return False
+        if seen.state == "failed":
+            failure = current["failure"]
+            if not how.get("update") or failure.get("command") == how["command"]:
+                self._end("failed", error=failure["reason"])
+                return False
+            self.results.reopen(self.target, seen)
+        replace = how.get("update") or how.get("overwrite")
+        if seen.state == "other" and current["record"] == how["record"] and not replace:
+            error = "there are results of another input; --update replaces them"
+            self._end("failed", error=error)
+            return False
+        killed, lost = self._deaths()
+        if killed >= MOST_KILLED or killed + lost >= MOST_LOST:
+            self._fail(f"{killed + lost} processes that worked on it died")
+            return False
+        return True
+
+    def computed(self) -> dict[str, Any]:
+        """Run the log and publish its results; return the outcome."""
+        assert self.spool
+        attempt, begin = secrets.token_hex(6), time.monotonic()
+        key = self.results.begin(self.target, attempt, self.how["command"])
+        staged = self.results.stage(attempt, self.spool.path)
+        try:
+            self.spool.witness(self.results.place.url, key)
+            found = self._run(staged)
+            found["run_s"] = round(time.monotonic() - begin, 3)
+            if found["error"]:
+                return self._fail(staged=staged, **found)
+            if self.how.get("tracks"):
+                found["error"] = _link(staged)
+            state = self.results.publish(self.target, attempt, staged, self.seen)
+            if state == "replaced":
+                found["error"] = "another run published results of another input meanwhile"
+            found["publish_s"] = round(time.monotonic() - begin - found["run_s"], 3)
+            return self._end(state, **found)
+        finally:
+            remove(staged)
+            with suppress(JaxdetError):
+                self.results.end(key)
+
+    def _run(self, staged: Path) -> dict[str, Any]:
+        """Run the engine; errors of the log are in ``error``."""
+        from jaxdet import engine
+
+        given = {**self.how, "name": self.log["log"], "about": self._about()}
+        try:
+            found = engine.run_one(str(self.path), staged, given)
+        except (ConfigError, OutputError):
+            raise
+        except JaxdetError as error:
+            return {"error": self._renamed(str(error))}
+        except Exception as error:
+            return {"error": f"an error in jaxdet itself ({type(error).__name__}: {error})"}
+        error = self._renamed(found["error"]) if found["error"] else None
+        kept = {key: found[key] for key in ("frames", "obstacles", "lost", "warnings")}
+        return {**kept, "error": error}
+
+    def _end(self, state: str, **values: Any) -> dict[str, Any]:
+        """Set the outcome, and return it."""
+        about = {"log": self.log["log"], "name": self.log["name"], "bytes": size_of(self.log)}
+        fetch_s = round(self.fetch_s, 3)
+        self.outcome = {**_OUTCOME, **about, "state": state, "fetch_s": fetch_s, **values}
+        return self.outcome
+
+    def _fail(self, error: str, staged: Path | None = None, **values: Any) -> dict[str, Any]:
+        """Publish why the log has no results, with ``failed.json`` in ``staged`` if it is there."""
+        path = staged / FAILED if staged else None
+        if path and path.exists():
+            content = json.loads(self._renamed(path.read_text(encoding="utf-8")))
+        else:
+            from jaxdet.results.manifest import fingerprint
+            from jaxdet.results.summary import LogSummary
+
+            inputs = [fingerprint(Path(file["key"])) for file in self.log["files"]]
+            entry = {**LogSummary(self.log["log"], ()).to_dict(), "error": error}
+            content = {"reason": error, "log": self.log["log"], "logs": [entry], "inputs": inputs}
+            run = self.how["record"].removesuffix(self.how["overwrites"])
+            content |= {"run": run, **self._about()}
+        noted = {"attempts": max(1, sum(self._deaths())), "command": self.how["command"]}
+        self.results.fail(self.target, {**content, **noted}, self.seen)
+        return self._end("failed", error=error, **values)
+
+    def _deaths(self) -> tuple[int, int]:
+        """Return the numbers of killed and of lost attempts at the log.
+
+        A driver such as Ray's may end all tasks of a command: then only attempts of this command
+        are counted.
+        """
+        command = self.how["command"] if self.how.get("driven") else None
+        return self.results.deaths(self.target, command)
+
+    def _about(self) -> dict[str, Any]:
         """Return additional entries of the manifest: the log's files, and the last overwrite."""
-        log, overwrites = self.log, how["overwrites"]
+        log, overwrites = self.log, self.how["overwrites"]
         about: dict[str, Any] = {"overwrites": overwrites} if overwrites else {}
         if log["url"]:
             about["fetched"] = [
@@ -121,140 +242,32 @@ class _Fetched(NamedTuple):
             ]
         return about
 
-    def as_outcome(self, state: str, **values: Any) -> dict[str, Any]:
-        about = {"log": self.log["log"], "name": self.log["name"], "bytes": size_of(self.log)}
-        return {**about, "state": state, "fetch_s": round(self.seconds, 3), **values}
+    def _renamed(self, text: str) -> str:
+        """Replace the path on local disk in a text by the log's address."""
+        log = self.log
+        first = log["files"][0]["key"]
+        return text.replace(str(self.path), f"{log['url']}/{first}") if log["url"] else text
 
-
-class _Work(NamedTuple):
-    """Fetching, computing and publishing of logs with the same options and output address."""
-
-    results: Results
-    how: Mapping[str, Any]
-    stop: Event
-
-    def fetched(self, log: Log, held: int = 0) -> _Fetched | None:
-        """Fetch a log, unless it has an outcome already.
-
-        Args:
-            log: The log.
-            held: Bytes of another log on local disk; None is returned if there is no room for both.
-        """
-        record, where = self.how["record"], self.how.get("spool")
-        target = Target(log["name"], version_of(record, entries_of(log)), record)
-        one = _Fetched(log, target, self.results.standing(target))
-        if outcome := self._standing(one):
-            return one._replace(outcome=outcome)
-        size, begin, spool = size_of(log) if log["url"] else 0, time.monotonic(), None
-        try:
-            check_room(where, size, self.how.get("spool_size"), held)
-            spool = Spool(where)
-            path = _fetch(log, spool.path, self.stop)
-        except BaseException as error:
-            if spool:
-                spool.close()
-            elif held and isinstance(error, InputError):
-                return None
-            if not isinstance(error, InputError):
-                raise
-            return one._replace(
-                outcome=one.as_outcome("failed", error=str(error))
-            )  # not published, so that a later call tries again
-        return one._replace(spool=spool, path=path, held=size, seconds=time.monotonic() - begin)
-
-    def _standing(self, one: _Fetched) -> dict[str, Any] | None:
-        """Return the outcome of a log that needs no work; else None."""
-        target, seen, how = one.target, one.seen, self.how
-        if seen.state == "whole":
-            return one.as_outcome("there", error=self._add_tracks(target))
-        if seen.state == "failed":
-            if not how.get("update") or seen.failure.get("command") == how["command"]:
-                return one.as_outcome("failed", error=seen.failure["reason"])
-            self.results.reopen(target)
-        replace = how.get("update") or how.get("overwrite") or seen.state != "other"
-        if not replace and (seen.current is None or seen.current["record"] == how["record"]):
-            error = "there are results of another input; --update replaces them"
-            return one.as_outcome("failed", error=error)
-        killed, lost = self._deaths(target)
-        if killed < MOST_KILLED and killed + lost < MOST_LOST:
-            return None
-        error = f"{killed + lost} processes that worked on it died"
-        self._fail(one, error, None)
-        return one.as_outcome("failed", error=error)
-
-    def computed(self, one: _Fetched) -> dict[str, Any]:
-        """Run a log and publish its results."""
-        assert one.spool
-        attempt, begin = secrets.token_hex(6), time.monotonic()
-        key = self.results.begin(one.target, attempt, self.how["command"])
-        staged = self.results.stage(attempt, one.spool.path)
-        try:
-            one.spool.witness(self.results.place.url, key)
-            found = _run_one(one, staged, self.how)
-            found["run_s"] = round(time.monotonic() - begin, 3)
-            if found["error"]:
-                self._fail(one, found["error"], staged)
-                return one.as_outcome("failed", **found)
-            results, tracks = self.results, self.how.get("tracks")
-            if tracks and not isinstance(results, BucketResults):
-                found["error"] = _link(staged)
-            state = results.publish(one.target, attempt, staged, one.seen)
-            if tracks and isinstance(results, BucketResults) and state == "done":
-                found["error"] = self._publish_tracks(results, one.target, staged)
-            if state == "replaced":
-                found["error"] = "another run published results of another input meanwhile"
-            found["publish_s"] = round(time.monotonic() - begin - found["run_s"], 3)
-            return one.as_outcome(state, **found)
-        finally:
-            remove(staged)
-            with suppress(JaxdetError):
-                self.results.end(key)
-
-    def _deaths(self, target: Target) -> tuple[int, int]:
-        """Return the numbers of killed and of lost attempts at a log.
-
-        A driver such as Ray's may end all tasks of a command: then only attempts of this command
-        are counted.
-        """
-        return self.results.deaths(target, self.how["command"] if self.how.get("driven") else None)
-
-    def _fail(self, one: _Fetched, error: str, staged: Path | None) -> None:
-        """Publish why a log has no results, with ``failed.json`` in ``staged`` if it is there."""
-        killed, lost = self._deaths(one.target)
-        noted = {"attempts": max(1, killed + lost), "command": self.how["command"]}
-        path = staged / FAILED if staged else None
-        if path and path.exists():
-            content = json.loads(one.renamed(path.read_text(encoding="utf-8")))
-        else:
-            from jaxdet.results.manifest import fingerprint
-            from jaxdet.results.summary import LogSummary
-
-            inputs = [fingerprint(Path(file["key"])) for file in one.log["files"]]
-            entry = {**LogSummary(one.log["log"], ()).to_dict(), "error": error}
-            content = {"reason": error, "log": one.log["log"], "logs": [entry], "inputs": inputs}
-            run = self.how["record"].removesuffix(self.how["overwrites"])
-            content |= {"run": run, **one.about(self.how)}
-        self.results.fail(one.target, {**content, **noted}, one.seen)
-
-    def _add_tracks(self, target: Target) -> str | None:
+    def _add_tracks(self) -> str | None:
         """Add tracks to results in a bucket that lack them; return the error if that fails."""
         results = self.results
         if not (self.how.get("tracks") and isinstance(results, BucketResults)):
             return None
-        if results.has_tracks(target):
+        if TRACKS in results.files(self.target.name):
             return None
         spool = Spool(self.how.get("spool"))
         try:
-            folder = download(results.place.url, target.name, spool.path / "results")
-            return self._publish_tracks(results, target, folder)
+            folder = download(results.place.url, self.target.name, spool.path / "results")
+            error = _link(folder)
+            if error is None:
+                results.publish(self.target, secrets.token_hex(6), folder, self.seen)
+            return error
         finally:
             spool.close()
 
-    def _publish_tracks(self, results: BucketResults, target: Target, folder: Path) -> str | None:
-        error = _link(folder)
-        if error is None:
-            results.publish_tracks(target, secrets.token_hex(6), folder)
-        return error
+
+_OUTCOME = {"error": None, "frames": 0, "obstacles": 0, "lost": [], "warnings": []}
+_OUTCOME |= {"fetch_s": 0.0, "run_s": 0.0, "publish_s": 0.0}
 
 
 def _link(folder: Path) -> str | None:
@@ -286,24 +299,6 @@ def _fetch(log: Log, folder: Path, stop: Event) -> Path:
         else:
             path.symlink_to(entry.key)
     return folder if len(paths) > 1 else paths[0]
-
-
-def _run_one(one: _Fetched, staged: Path, how: Mapping[str, Any]) -> dict[str, Any]:
-    """Run the engine on one log; errors of the log are in ``error``."""
-    from jaxdet import engine
-
-    given = {**how, "name": one.log["log"], "about": one.about(how)}
-    try:
-        found = engine.run_one(str(one.path), staged, given)
-    except (ConfigError, OutputError):
-        raise
-    except JaxdetError as error:
-        return {"error": one.renamed(str(error))}
-    except Exception as error:
-        return {"error": f"an error in jaxdet itself ({type(error).__name__}: {error})"}
-    error = one.renamed(found["error"]) if found["error"] else None
-    kept = {key: found[key] for key in ("frames", "obstacles", "lost", "warnings")}
-    return {**kept, "error": error}
 
 
 def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:

@@ -130,24 +130,24 @@ def ray_bearings() -> tuple[np.ndarray, np.ndarray]:
     return bearing, way
 
 
-def free_columns(free: FreeFloor, good: np.ndarray) -> dict[str, Any]:
-    """Return columns of ``frames.parquet``, null where ``good`` ``(n,)`` bool is False."""
+def free_columns(free: FreeFloor | None, good: np.ndarray) -> dict[str, Any]:
+    """Return columns of ``frames.parquet``, null where ``good`` ``(n,)`` bool is False.
+
+    Without an estimate of the free floor all are null.
+    """
+    kinds = {
+        "free_bearing_rad": np.float32,
+        "free_from_m": np.float32,
+        "free_to_m": np.float32,
+        "free_end": np.int8,
+    }
+    if free is None:
+        nulls = dict.fromkeys(kinds, Lists.nulls(good.size))
+        return {**nulls, "drop_m": np.full(good.size, np.nan)}
     used = free.seen & good[:, None]
     at, length = np.flatnonzero(used), used.sum(axis=1, dtype=np.int32)
-    kinds = {
-        "free_bearing_rad": (free.bearing_rad, np.float32),
-        "free_from_m": (free.from_m, np.float32),
-        "free_to_m": (free.to_m, np.float32),
-        "free_end": (free.end, np.int8),
-    }
-    columns: dict[str, Any] = {
-        name: Lists.of_lengths(values.ravel()[at].astype(kind), length, ~good)
-        for name, (values, kind) in kinds.items()
-    }
+    columns: dict[str, Any] = {}
+    for name, kind in kinds.items():
+        values = getattr(free, name.removeprefix("free_")).ravel()[at].astype(kind)
+        columns[name] = Lists.of_lengths(values, length, ~good)
     return columns | {"drop_m": np.where(good, free.drop_m, np.nan).astype(np.float32)}
-
-
-def no_free_columns(count: int) -> dict[str, Any]:
-    """Return the columns of :func:`free_columns` with nulls, if no free floor is estimated."""
-    names = ("free_bearing_rad", "free_from_m", "free_to_m", "free_end")
-    return {name: Lists.nulls(count) for name in names} | {"drop_m": np.full(count, np.nan)}

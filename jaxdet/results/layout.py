@@ -13,9 +13,9 @@
         failed.json       why the log has no results, and how often it was tried
       .jaxdet/            files of a command that writes here, while it runs
         lock
-        ready/drive_1/    complete; replaces RESULTS/drive_1
+        old-1a2b/drive_1/ moved aside while RESULTS/drive_1 is replaced
 
-Readers prefer a log's folder in ``ready``, see :mod:`jaxdet.results.publish`.
+Readers find a log's folder there too, see :mod:`jaxdet.results.publish`.
 """
 
 import json
@@ -30,15 +30,18 @@ from jaxdet.results.shapes import AGAIN, LOGS, check_shape
 RUN, MANIFEST, FAILED = "run.json", "manifest.json", "failed.json"
 SUMMARY, CONFIG = "summary.json", "config.json"
 FRAMES, OBSTACLES = "frames.parquet", "obstacles.parquet"
-WORKING, READY = ".jaxdet", "ready"
+TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
+"""Tables that ``jaxdet track`` adds to a log's folder."""
+WORKING, ASIDE = ".jaxdet", "old-"
+"""Folder of a command that writes results, and the beginning of names in it."""
 FLEET = ".fleet"
 """Folder in results for notes of machines that share a run, see jaxdet.fleet.publish."""
 
 
 def log_folders(results: Path) -> dict[str, Path]:
     """Return the folders of logs by their names, complete and failed ones, in order."""
-    found = {path.name: path for path in _with_results(results)}
-    found |= {path.name: path for path in _with_results(results / WORKING / READY)}
+    places = [*(results / WORKING).glob(f"{ASIDE}*"), results]
+    found = {path.name: path for place in places for path in _with_results(place)}
     return dict(sorted(found.items()))
 
 

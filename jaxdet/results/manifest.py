@@ -5,7 +5,7 @@ It is written last, so a folder without it holds no complete results.
 
 import hashlib
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -68,23 +68,18 @@ def _folder(path: Path) -> dict[str, Any]:
     return {"size": size, "mtime_ns": latest, "fingerprint": hashed.hexdigest()}
 
 
-def same_inputs(one: object, other: object) -> bool:
+def same_inputs(one: Iterable[Mapping[str, Any]], other: Iterable[Mapping[str, Any]]) -> bool:
     """Return whether files have the same size, modification time and checksum, at any path.
+
+    A file that could not be read is not the same as any other.
 
     Args:
         one: Fingerprints of a log's files, see :func:`fingerprint`.
         other: Fingerprints of the same log at another time.
     """
-    return _contents(one) == _contents(other) is not None
-
-
-def _contents(inputs: object) -> list[tuple[Any, ...]] | None:
-    """Return the parts of fingerprints that are compared; None if a file could not be read."""
     which = ("size", "mtime_ns", "fingerprint")
-    try:
-        return [tuple(file[name] for name in which) for file in inputs]  # pyright: ignore
-    except (KeyError, TypeError):
-        return None
+    before, now = ([[file.get(name) for name in which] for file in files] for files in (one, other))
+    return before == now and not any(None in file for file in now)
 
 
 def write_manifest(folder: Path, about: Mapping[str, Any], leave_out: Collection[str] = ()) -> None:

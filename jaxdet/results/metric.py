@@ -117,15 +117,9 @@ def distances(detections: Detections) -> np.ndarray:
 
 
 def point_distances(obstacles: Obstacles) -> np.ndarray:
-    """Return the distance of the nearest point of clusters of points, ``(...)`` [depth units].
-
-    If obstacles of other methods lack ``nearest``, the nearest of A, B and C is used, which is
-    often not the nearest point.
-    """
-    if obstacles.nearest is not None:
-        return np.sqrt(dot(obstacles.nearest, np.array([262144.0, 1.0])))
-    squared = [_squared(np.asarray(point)) for point in (obstacles.a, obstacles.b, obstacles.c)]
-    return np.sqrt(np.minimum(np.minimum(*squared[:2]), squared[2]))
+    """Return the distance of the nearest point of clusters of points, ``(...)`` [depth units]."""
+    assert obstacles.nearest is not None  # only obstacles made of surfaces lack it
+    return np.sqrt(dot(obstacles.nearest, np.array([262144.0, 1.0])))
 
 
 def distance_text(distance_m: float | None, depth_m: float) -> str:
@@ -245,9 +239,7 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
         InputError: The arrays are not those of obstacles, or the unit is not a number.
     """
     of_type("config", config, FootprintConfig)
-    _check(obstacles, depth_unit, ("has_vertex", "a", "b", "c"))
-    if obstacles.direction is not None:  # obstacles of other methods have no direction
-        _check(obstacles, depth_unit, ("has_vertex", "direction", "span", "xyz_min"))
+    _check(obstacles, depth_unit, ("has_vertex", "a", "b", "c", "direction", "span", "xyz_min"))
     if np.any(obstacles.direction):
         return _fitted_rectangles(obstacles, depth_unit, config)
     a, b, c = (np.asarray(p).astype(np.float64) for p in (obstacles.a, obstacles.b, obstacles.c))
@@ -262,10 +254,8 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
     back = np.where(has_vertex, dot(c, across), front + config.extension_m / depth_unit)
     margin = _margin(obstacles, depth_unit, config)
     outward = np.where(front <= back, margin, -margin)
-    left, right, front, back = left - margin, right + margin, front - outward, back + outward
-    corners = [(left, front), (right, front), (right, back), (left, back)]
-    points = [s[..., None] * along + t[..., None] * across for s, t in corners]
-    return np.stack(points, axis=-2) * depth_unit
+    sides = left - margin, right + margin, front - outward, back + outward
+    return _corners(along, across, *sides) * depth_unit
 
 
 def _fitted_rectangles(
@@ -279,14 +269,27 @@ def _fitted_rectangles(
     across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     margin = _margin(obstacles, depth_unit, config)
     left, right, near, far = np.moveaxis(span, -1, 0)
-    left, right, near, far = left - margin, right + margin, near - margin, far + margin
     # The four sides in turn, counted counter-clockwise from the one that faces across.
-    corners = [(left, near), (right, near), (right, far), (left, far)]
-    points = [s[..., None] * along + t[..., None] * across for s, t in corners]
-    ring = np.stack(points, axis=-2)
-    first = np.argmin(_sides(ring), axis=-1)
+    sides = left - margin, right + margin, near - margin, far + margin
+    ring = _corners(along, across, *sides)
+    middle = ring + np.roll(ring, -1, axis=-2)  # doubled
+    first = np.argmin(dot(middle, middle), axis=-1)
     order = (first[..., None] + np.arange(4)) % 4
     return np.take_along_axis(ring, order[..., None], axis=-2) * depth_unit
+
+
+def _corners(
+    along: np.ndarray,
+    across: np.ndarray,
+    left: np.ndarray,
+    right: np.ndarray,
+    front: np.ndarray,
+    back: np.ndarray,
+) -> np.ndarray:
+    """Return the corners ``(..., 4, 2)`` of rectangles, from their sides along two unit vectors."""
+    corners = [(left, front), (right, front), (right, back), (left, back)]
+    points = [s[..., None] * along + t[..., None] * across for s, t in corners]
+    return np.stack(points, axis=-2)
 
 
 def _margin(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) -> np.ndarray:
@@ -296,12 +299,6 @@ def _margin(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) ->
         z = np.asarray(obstacles.xyz_min, np.float64)[..., 2] * depth_unit
         margin = margin + config.margin_per_m2 * z * z
     return margin / depth_unit
-
-
-def _sides(ring: np.ndarray) -> np.ndarray:
-    """Return the squared distances of the middles of the sides of rectangles."""
-    middle = ring + np.roll(ring, -1, axis=-2)
-    return dot(middle, middle)
 
 
 def _backward_normal(a: np.ndarray, along: np.ndarray) -> np.ndarray:

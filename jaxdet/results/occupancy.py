@@ -56,11 +56,10 @@ class OccupancyMap:
         self.path: list[np.ndarray] = []
         self.skipped = 0
 
-    def add_path(self, T_world_camera: np.ndarray | None) -> None:
+    def add_path(self, T_world_camera: np.ndarray) -> None:
         """Append the positions of poses ``(B, 4, 4)``; unknown ones are left out."""
-        if T_world_camera is not None:
-            xy = T_world_camera[:, :2, 3]
-            self.path.append(xy[np.isfinite(xy).all(axis=1)])
+        xy = T_world_camera[:, :2, 3]
+        self.path.append(xy[np.isfinite(xy).all(axis=1)])
 
     def add(self, corners: np.ndarray) -> None:
         """Count outlines ``(R, 8)``, world X and Y [m]; those with NaN are left out."""

@@ -1,9 +1,9 @@
 """Replacement of a log's folder: at any time the complete old or the complete new one is there.
 
 A folder is made in the working folder and renamed when it is complete. If there is one already, the
-two are exchanged in one step. On systems that can't do that, the new folder is renamed into
-``ready``, and is valid from then on: readers find it there, and the next command that works in the
-results moves it to its final path (:func:`finish`).
+two are exchanged in one step. On systems that can't do that, the old folder is moved aside for a
+moment: readers find it there, and if the process ends at that moment, the next command that works
+in the results moves it back (:func:`finish`).
 """
 
 import ctypes
@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from jaxdet.results.durable import flush, writing
-from jaxdet.results.layout import READY, WORKING
+from jaxdet.results.layout import ASIDE, WORKING
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 _CANT = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
@@ -42,59 +42,40 @@ def publish(
     """
     place = results / name
     with writing(place):
-        if not rename_if_absent(staged, place):
+        while not rename_if_absent(staged, place):
             if unless():
                 return False
             if exchange(staged, place):
                 remove(staged)
-            else:
-                ready = results / WORKING / READY / name
-                ready.parent.mkdir(parents=True, exist_ok=True)
-                os.rename(staged, ready)
-                flush(ready.parent)
-                _move(ready, place)
-                with suppress(OSError):
-                    ready.parent.rmdir()
+                break
+            aside = results / WORKING / f"{ASIDE}{secrets.token_hex(4)}"
+            aside.mkdir(parents=True)
+            with suppress(FileNotFoundError):  # another process has moved it
+                os.rename(place, aside / name)
         flush(results)
+        finish(results)
     return True
 
 
-def finish(results: Path) -> int:
-    """Complete what :func:`publish` began in a process that has ended.
+def finish(results: Path) -> None:
+    """Complete what :func:`publish` began: folders that were moved aside are removed or moved back.
 
     Args:
         results: Results folder.
 
-    Returns:
-        Number of folders that were moved to their place.
-
     Raises:
         OutputError: The folder can't be written to; call this function again later.
     """
-    waiting = sorted((results / WORKING / READY).glob("*"))
     with writing(results):
-        for ready in waiting:
-            _move(ready, results / ready.name)
-        for old in (results / WORKING).glob("old-*"):
-            remove(old)
-        if waiting:
-            flush(results)
-        with suppress(OSError):
-            (results / WORKING / READY).rmdir()
-    return len(waiting)
-
-
-def _move(ready: Path, place: Path) -> None:
-    """Move a folder to its final path, unless another process did; remove the old folder."""
-    old = ready.parents[1] / f"old-{secrets.token_hex(4)}"
-    if os.path.lexists(place):
-        os.rename(place, old)
-    try:
-        os.rename(ready, place)
-    except FileNotFoundError:
-        os.rename(old, place)  # another process had moved the new folder there
-    else:
-        remove(old)
+        for aside in (results / WORKING).glob(f"{ASIDE}*"):
+            for folder in aside.glob("*"):
+                with suppress(FileNotFoundError):  # another process has moved it
+                    if rename_if_absent(folder, results / folder.name):
+                        flush(results)
+                    else:
+                        remove(folder)
+            with suppress(OSError):
+                aside.rmdir()
 
 
 def rename_if_absent(staged: Path, place: Path) -> bool:

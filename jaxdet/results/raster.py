@@ -1,6 +1,7 @@
 """Rasterise the shapes of a frame onto a floor grid fixed in the world."""
 
 from collections.abc import Sequence
+from itertools import islice
 from typing import Literal, NamedTuple
 
 import cv2
@@ -55,14 +56,10 @@ def rasterize(layers: Sequence[Layer]) -> Raster | None:
     places = np.split(together.points[:-2], np.cumsum([len(shape) for shape in fitting])[:-1])
     cells = np.zeros(together.size[0, ::-1], np.uint8)
     of = np.repeat(np.arange(len(layers)), [len(layer.shapes) for layer in layers])[fits]
-    for layer, first, last in zip(layers, *_bounds(of, len(layers)), strict=True):
-        _draw(cells, layer, places[first:last])
+    left = iter(places)
+    for layer, count in zip(layers, np.bincount(of, minlength=len(layers)), strict=True):
+        _draw(cells, layer, list(islice(left, count)))
     return Raster(cells, together.low[0])
-
-
-def _bounds(of: np.ndarray, count: int) -> np.ndarray:
-    """Return, for each value from 0, its first index in sorted ``of`` and that after its last."""
-    return np.searchsorted(of, np.arange(count) + [[0], [1]])
 
 
 def _draw(cells: np.ndarray, layer: Layer, places: list[np.ndarray]) -> None:

@@ -1,7 +1,6 @@
 """Reader of the results of ``jaxdet run``, which holds only a part of them in memory."""
 
 import dataclasses
-import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import cached_property
@@ -14,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxdet.config import Config
+from jaxdet.config_changes import changed
 from jaxdet.errors import InputError, JaxdetError, printable
-from jaxdet.io.files import SUFFIXES
 from jaxdet.io.options import LogOptions
 from jaxdet.results import shapes
 from jaxdet.results.arrow import open_file
@@ -24,10 +23,12 @@ from jaxdet.results.layout import (
     CONFIG,
     FAILED,
     FRAMES,
+    LINKS,
     MANIFEST,
     OBSTACLES,
     RUN,
     SUMMARY,
+    TRACKS,
     check_folder,
     entries_of,
     is_complete,
@@ -50,8 +51,6 @@ from jaxdet.results.tracked import TracksInFrames
 CHUNK_FRAMES = 1024
 """Number of frames read together, by default."""
 
-TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
-"""Tables that ``jaxdet track`` adds to a log's folder."""
 LINKED = tuple(LINKS_SCHEMA.names[4:])
 """Columns of ``track_links.parquet`` that ``jaxdet track`` adds to obstacles."""
 TABLES = {
@@ -111,10 +110,8 @@ class ResultLog(NamedTuple):
 
         Poses of a folder of images come from ``groundtruth.txt`` instead.
         """
-        about = self.summary["description"] or {}
-        known = any(path.suffix.lower() in SUFFIXES for path in self.paths)
-        is_folder = about.get("is_folder", not known)  # older versions did not say
-        return about.get("pose_source", "").startswith("poses: TF") and not is_folder
+        about = self.summary["description"]
+        return about and about["pose_source"].startswith("poses: TF") and not about["is_folder"]
 
     def topic(self, role: str) -> str:
         """Return the topic of the ``color`` or the ``depth`` images; empty if it is unknown."""
@@ -130,6 +127,10 @@ class LogFailure(NamedTuple):
     reason: str
     summary: Mapping[str, Any]
     """Entry as in ``summary.json``."""
+
+
+def _failure(entry: Mapping[str, Any]) -> LogFailure:
+    return LogFailure(entry["log"], entry["error"] or "", entry)
 
 
 def open_results(folder: str | PathLike[str]) -> "Results":
@@ -194,7 +195,7 @@ class Results:
     def _find(self) -> Iterator[ResultLog]:
         """Yield the logs with results; add the others to ``failed`` and ``stale``."""
         if is_complete(self.folder):
-            yield from self._logs_of(self.folder)
+            yield from self._logs_of(self.folder, read_manifest(self.folder))
             return
         if not is_run(self.folder):
             problem = f"holds no results ({MANIFEST} and {RUN} are missing)"
@@ -203,49 +204,39 @@ class Results:
         found: list[ResultLog] = []
         for name, folder in log_folders(self.folder).items():
             if not is_complete(folder):
-                self._note_failure(folder)
-            elif self._manifest(folder).get("run") != run:
+                content = read_json(folder / FAILED)
+                self.failed += map(_failure, entries_of(content, folder / FAILED))
+            elif (manifest := read_manifest(folder)).get("run") != run:
                 self.stale.append(name)
             else:
-                found += self._logs_of(folder)
+                found += self._logs_of(folder, manifest)
         yield from sorted(found, key=lambda log: (log.name, log.camera))
 
-    def _manifest(self, folder: Path) -> dict[str, Any]:
-        if folder not in self.manifests:
-            self.manifests[folder] = read_manifest(folder)
-        return self.manifests[folder]
-
-    def _logs_of(self, folder: Path) -> Iterator[ResultLog]:
+    def _logs_of(self, folder: Path, manifest: dict[str, Any]) -> Iterator[ResultLog]:
         """Yield the cameras of a log with results."""
-        manifest, summary = self._manifest(folder), read_json(folder / SUMMARY)
+        summary = read_json(folder / SUMMARY)
         if read_json(folder / MANIFEST) != manifest:
             problem = "the results were replaced while they were opened"
             raise InputError(problem, path=str(folder), remedy="read them again")
-        self.summaries[folder] = summary
+        self.manifests[folder], self.summaries[folder] = manifest, summary
         entries = entries_of(summary, folder / SUMMARY)
         check_shape(summary, shapes.SUMMARY, folder / SUMMARY)
         frame = obstacle = 0
         for entry in entries:
-            name, camera = str(entry["log"]), entry["camera"]
+            name, camera = entry["log"], entry["camera"]
             if entry["error"]:
-                self.failed.append(LogFailure(name, str(entry["error"]), entry))
+                self.failed.append(_failure(entry))
                 continue
             several = "@" in str(entry.get("file_name"))
             label = f"{name}, {camera}" if several else name
-            yield ResultLog(name, str(camera), label, folder, several, entry, frame, obstacle)
+            yield ResultLog(name, camera, label, folder, several, entry, frame, obstacle)
             frame, obstacle = frame + entry["frames"], obstacle + entry["obstacles"]
-
-    def _note_failure(self, folder: Path) -> None:
-        content = read_json(folder / FAILED)
-        for entry in entries_of(content, folder / FAILED):
-            self.failed.append(LogFailure(str(entry["log"]), str(entry["error"]), entry))
 
     def _read_config(self) -> dict[str, Any]:
         """Return the configuration of the logs; set ``config_source``, which names the version."""
-        one = next(iter(self.manifests), None)
-        if one is not None:
-            self.config_source = self.manifests[one]
-            return read_json(one / CONFIG)
+        if self.manifests:
+            folder, self.config_source = next(iter(self.manifests.items()))
+            return read_json(folder / CONFIG)
         record = read_json(self.folder / RUN)
         self.config_source = record.get("about", {})
         return record.get("config", {})
@@ -298,17 +289,18 @@ class Results:
     @cached_property
     def method(self) -> Config:
         """Configuration that the obstacles were found with."""
-        return self._restored(Config, self.config)
+        return Config(**{name: self._section(part, name) for name, part in vars(Config()).items()})
 
     @cached_property
     def log_options(self) -> LogOptions:
         """Options that the logs were read with."""
-        return self._restored(LogOptions, self.config.get("log"))
+        return self._section(LogOptions(), "log")
 
-    def _restored(self, kind: type, values: Any) -> Any:
+    def _section(self, section: Any, name: str) -> Any:
+        """Return a section of the configuration with its values in ``config.json``."""
         try:
-            return restored(kind, values)
-        except (JaxdetError, TypeError, ValueError, KeyError, OverflowError) as error:
+            return changed(section, self.config[name], name, "")
+        except (JaxdetError, AttributeError, ValueError, KeyError, OverflowError) as error:
             path = str(next(iter(self.manifests), self.folder) / CONFIG)
             problem = f"is not a configuration ({printable(str(error))[:200]})"
             raise InputError(problem, path=path, remedy=AGAIN) from error
@@ -480,24 +472,13 @@ def open_table(path: Path) -> pq.ParquetFile:
     if (found := _metadata(table).get(FORMAT_KEY, "none")) != str(FORMAT):
         problem = f"has format {found} of the tables, not {FORMAT}"
         raise InputError(problem, path=str(path), remedy="run jaxdet run again")
-    again = _TRACK_AGAIN if path.name in (TRACKS, LINKS) else AGAIN
-    found = {field.name: field for field in table.schema_arrow}
-    for field in TABLES.get(path.name, ()):
-        own = found.get(field.name)
-        kind = own.type if own else None
-        dense = kind.value_type if kind and pa.types.is_dictionary(kind) else kind
-        if dense != field.type:
-            problem = f"column {field.name} is {'missing' if kind is None else 'of another type'}"
-            raise InputError(problem, path=str(path), remedy=again)
-        if own and own.nullable and not field.nullable and _has_nulls(table, field.name):
-            problem = f"column {field.name} has nulls"
+    own = {field.name: field for field in table.schema_arrow}
+    for field in TABLES[path.name]:
+        if own.get(field.name) != field:
+            problem = f"column {field.name} is missing, or not as jaxdet writes it"
+            again = _TRACK_AGAIN if path.name in (TRACKS, LINKS) else AGAIN
             raise InputError(problem, path=str(path), remedy=again)
     return table
-
-
-def _has_nulls(table: pq.ParquetFile, column: str) -> bool:
-    """Return whether a column has nulls."""
-    return any(batch.column(0).null_count for batch in table.iter_batches(columns=[column]))
 
 
 def _linked(log: ResultLog, chunk: Tables, links: "_Rows") -> Tables:
@@ -574,15 +555,3 @@ def _batches(
 def _metadata(table: pq.ParquetFile) -> dict[str, str]:
     own = (table.metadata.metadata or {}).items()
     return {k.decode(): v.decode("utf-8", "replace") for k, v in own if k.startswith(b"jaxdet.")}
-
-
-def restored(kind: type, values: Mapping[str, Any]) -> Any:
-    """Return a dataclass from its values in JSON."""
-    hints, found = typing.get_type_hints(kind), {}
-    for field in dataclasses.fields(kind):
-        if field.name in values:
-            value, hint = values[field.name], hints[field.name]
-            if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-                value = restored(hint, value)
-            found[field.name] = tuple(value) if isinstance(value, list) else value
-    return kind(**found)

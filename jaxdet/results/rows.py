@@ -11,7 +11,7 @@ from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import plane_in_color
 from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.io.motion import inverse, quaternions
-from jaxdet.results.free_floor import Polygons, free_columns, free_floor, no_free_columns
+from jaxdet.results.free_floor import Polygons, free_columns, free_floor
 from jaxdet.results.lists import Lists
 from jaxdet.results.metric import (
     TILT,
@@ -24,7 +24,6 @@ from jaxdet.results.metric import (
     to_world,
 )
 from jaxdet.types import (
-    Array,
     Calibration,
     Detections,
     Frames,
@@ -40,21 +39,6 @@ if TYPE_CHECKING:
 _REFUSALS = np.array([reason.name.lower() for reason in Refusal], object)
 
 
-class RowInputs(NamedTuple):
-    """Part of the detections of a batch that rows are made of, NumPy or JAX arrays."""
-
-    num_obstacles: Array
-    """Number of obstacles, ``(B,)`` int32."""
-    overflow: Array
-    """Whether obstacles may be missing, ``(B,)`` bool."""
-    has_depth: Array
-    """Whether any depth is in range, ``(B,)`` bool."""
-    obstacles: Obstacles
-    """M slots, at least the largest of ``num_obstacles``."""
-    scene: Scene | None
-    """Scene without its prior, which stays on the host; None for clusters of points."""
-
-
 class Rows(NamedTuple):
     """Results of a batch on the host."""
 
@@ -64,35 +48,29 @@ class Rows(NamedTuple):
     """Columns of ``obstacles.parquet``."""
     plane: GroundPlane
     """Floor of each frame, ``(B,)``, relative to the camera that lengths refer to."""
-    T_world_camera: np.ndarray | None
-    """Poses of the camera that lengths refer to, ``(B, 4, 4)``; None without poses."""
+    T_world_camera: np.ndarray
+    """Poses of the camera that lengths refer to, ``(B, 4, 4)``, NaN where unknown."""
     free_world: Polygons | None
     """Free floor of each frame in the world; None without poses."""
 
 
-def row_inputs(found: Detections) -> RowInputs:
-    """Return the part of detections that :func:`batch_rows` needs, without points and cells.
+def row_inputs(found: Detections) -> Detections:
+    """Return the part of detections that :func:`batch_rows` needs: no points, cells and prior.
 
     It can be compiled by ``jax.jit``.
 
     Args:
         found: NumPy or JAX arrays.
     """
-    scene = found.scene
-    return RowInputs(
-        found.num_obstacles,
-        found.overflow,
-        found.has_depth,
-        found.obstacles,
-        scene and scene._replace(prior=None),
-    )
+    scene = found.scene and found.scene._replace(prior=None)
+    return found._replace(scene=scene, cells=None, points=None)
 
 
-def no_inputs(count: int) -> RowInputs:
+def no_inputs(count: int) -> Detections:
     """Return inputs of ``count`` frames without detections."""
     numbers, no = np.zeros(count, np.int32), np.zeros(count, bool)
     shapes = {"uv_min": 2, "uv_max": 2, "xyz_min": 3, "xyz_max": 3, "a": 2, "b": 2, "c": 2}
-    shapes |= {"direction": 2, "span": 4}
+    shapes |= {"direction": 2, "span": 4, "nearest": 2}
     slots = {name: np.zeros((count, 0, size), np.int32) for name, size in shapes.items()}
     none = Obstacles(
         num_points=np.zeros((count, 0), np.int32),
@@ -100,15 +78,15 @@ def no_inputs(count: int) -> RowInputs:
         has_vertex=np.zeros((count, 0), bool),
         **slots,
     )
-    return RowInputs(numbers, no, no, none, None)
+    return Detections(numbers, no, no, none)
 
 
-def used_slots(inputs: RowInputs, count: int) -> RowInputs:
+def used_slots(inputs: Detections, count: int) -> Detections:
     """Return a copy of the first ``count`` frames, with as many slots as any of them uses.
 
     Most slots are empty: of 240 KB per frame, about 20 are used.
     """
-    found: RowInputs = _first(inputs, count)
+    found: Detections = _first(inputs, count)
     slots = int(found.num_obstacles.max(initial=0))
 
     def few(part: np.ndarray) -> np.ndarray:
@@ -160,7 +138,7 @@ def batch_rows(
     batch: "Batch",
     plane: GroundPlane,
     sources: Sequence[str],
-    inputs: RowInputs,
+    inputs: Detections,
     config: Config,
 ) -> Rows:
     """Return the rows of a batch, in the order of the frames.
@@ -195,24 +173,25 @@ def batch_rows(
         fit = floor_fit(found.scene.floor, plane, unit)
         free = free_floor(found.scene.free, found.scene.free_end, unit)
         plane = fit.plane
-    frame_columns = _frame_columns(frames, plane, found, good)
-    frame_columns["color_stamp_ns"] = _color_stamps(batch, count)
-    frame_columns["log_time_ns"] = _log_times(batch, count)
-    frame_columns["status"] = np.array([str(s) for s in status.tolist()], object)
-    frame_columns |= _pose_columns(batch, count)
-    frame_columns |= _floor_columns(fit, sources[:count], good, config)
     known = good & plane.valid  # distances and heights need a floor
-    frame_columns |= free_columns(free, known) if free else no_free_columns(count)
-    poses = own_poses = None if frames.T_world_camera is None else frames.T_world_camera[:count]
-    if poses is not None:
-        placed = known & ~tilted(*(frame_columns[name] for name in TILT))
-        poses = np.where(placed[:, None, None], poses, np.nan)
-    obstacle_columns = _obstacle_columns(frames, poses, plane, found, good, config)
+    poses = np.full((count, 4, 4), np.nan)
+    if frames.T_world_camera is not None:
+        poses = frames.T_world_camera[:count]
+    frame_columns = {
+        **_frame_columns(batch, status, poses, plane),
+        **_floor_columns(fit, sources[:count], good, config),
+        **free_columns(free, known),
+        "num_obstacles": np.where(good, found.num_obstacles, 0).astype(np.int32),
+        "overflow": found.overflow & good,
+    }
+    placed = known & ~tilted(*(frame_columns[name] for name in TILT))
+    places = np.where(placed[:, None, None], poses, np.nan)
+    obstacle_columns = _obstacle_columns(frames, places, plane, found, good, config)
     for columns in (frame_columns, obstacle_columns):
         rows = len(columns["frame"])
         columns["log"], columns["camera"] = (np.full(rows, n, object) for n in (log, camera))
-    world = None if free is None or poses is None else free.in_world(poses)
-    return Rows(frame_columns, obstacle_columns, plane, own_poses, world)
+    world = free.in_world(places) if free and frames.T_world_camera is not None else None
+    return Rows(frame_columns, obstacle_columns, plane, poses, world)
 
 
 def _of_color_camera(batch: "Batch") -> "Batch":
@@ -250,12 +229,14 @@ def _first(part: Any, count: int) -> Any:
 
 
 def _frame_columns(
-    frames: Frames, plane: GroundPlane, found: RowInputs, good: np.ndarray
+    batch: "Batch", status: np.ndarray, poses: np.ndarray, plane: GroundPlane
 ) -> dict[str, Any]:
-    n = good.size
+    """Return what doesn't depend on obstacles: times, status, poses, and the camera's mount."""
+    frames, n = batch.frames, len(status)
+    colors, times = batch.nearest_color_ns, batch.log_time_ns
 
-    def counted(values: np.ndarray) -> np.ndarray:
-        return np.where(good, values, 0).astype(np.int32)
+    def named(frame: str) -> np.ndarray:
+        return np.ma.array(np.full(n, frame, object), mask=np.full(n, not frame))
 
     def known(values: np.ndarray) -> np.ndarray:
         return np.where(plane.valid, values, np.nan).astype(np.float32)
@@ -263,43 +244,19 @@ def _frame_columns(
     return {
         "frame": frames.number[:n],
         "stamp_ns": frames.stamp_ns[:n],
-        "num_obstacles": counted(found.num_obstacles),
-        "overflow": found.overflow & good,
+        # The colour images' stamps don't depend on whether colour is read.
+        "color_stamp_ns": np.ma.masked_less(np.full(n, -1) if colors is None else colors[:n], 0),
+        "log_time_ns": np.ma.array(
+            np.zeros(n, np.int64) if times is None else times, mask=np.full(n, times is None)
+        ),
+        "status": np.array([str(s) for s in status.tolist()], object),
         "camera_height_m": known(plane.height),
         "camera_pitch_rad": known(plane.pitch),
         "camera_roll_rad": known(plane.roll),
-    }
-
-
-def _color_stamps(batch: "Batch", count: int) -> np.ndarray:
-    """Return the stamps of the frames' colour images, masked for frames without one.
-
-    They don't depend on whether colour is read.
-    """
-    if batch.nearest_color_ns is None:
-        return np.ma.masked_less(np.full(count, -1, np.int64), 0)
-    return np.ma.masked_less(batch.nearest_color_ns[:count], 0)
-
-
-def _log_times(batch: "Batch", count: int) -> np.ndarray:
-    unknown = batch.log_time_ns is None
-    times = np.zeros(count, np.int64) if unknown else batch.log_time_ns
-    return np.ma.array(times, mask=np.full(count, unknown))
-
-
-def _pose_columns(batch: "Batch", count: int) -> dict[str, Any]:
-    """Return the pose of the camera in the world, and the names of both frames."""
-    poses = batch.frames.T_world_camera
-    T = np.full((count, 4, 4), np.nan) if poses is None else poses[:count]
-
-    def named(frame: str) -> np.ndarray:
-        return np.ma.array(np.full(count, frame, object), mask=np.full(count, not frame))
-
-    return {
         "camera_frame": named(batch.camera_frame),
         "world_frame": named(batch.world_frame),
-        "camera_position_world": T[:, :3, 3],
-        "camera_orientation_world": quaternions(T[:, :3, :3]),
+        "camera_position_world": poses[:, :3, 3],
+        "camera_orientation_world": quaternions(poses[:, :3, :3]),
     }
 
 
@@ -318,9 +275,9 @@ def _floor_columns(
 
 def _obstacle_columns(
     frames: Frames,
-    poses: np.ndarray | None,
+    poses: np.ndarray,
     plane: GroundPlane,
-    found: RowInputs,
+    found: Detections,
     good: np.ndarray,
     config: Config,
 ) -> dict[str, Any]:
@@ -338,7 +295,7 @@ def _obstacle_columns(
         "evidence": _evidence(found.scene, row, slot),
         "vertices": obstacles.has_vertex.astype(np.int8),
         "corners_ground": corners.reshape(-1, 8).astype(np.float32),
-        "corners_world": _world_corners(corners, poses, row),
+        "corners_world": to_world(corners[:, None], poses[row]).reshape(-1, 8),
     }
     columns |= _shape_columns(obstacles, found.scene, plane, row, slot, unit)
     in_color = config.cluster.points or frames.calibration.color is not None
@@ -392,12 +349,3 @@ def _shape_columns(
         **{name: np.where(known, a, np.nan).astype(np.float32) for name, a in metres.items()},
         "contour": contours,
     }
-
-
-def _world_corners(
-    corners: np.ndarray, T_world_camera: np.ndarray | None, row: np.ndarray
-) -> np.ndarray:
-    """Return outlines ``(R, 4, 2)`` of frames ``row`` ``(R,)`` in the world, ``(R, 8)`` float64."""
-    if T_world_camera is None:
-        return np.full((row.size, 8), np.nan)
-    return to_world(corners[:, None], T_world_camera[row]).reshape(-1, 8)

@@ -33,8 +33,9 @@ DESCRIPTION = {
 LOG = {
     "log": TEXT, "camera": (MAYBE, TEXT), "file_name": (MAYBE, TEXT), "paths": [TEXT],
     "error": (MAYBE, TEXT), "lost": [TEXT], "frames": COUNT, "obstacles": COUNT,
-    "overflow_frames": COUNT, "tilted_frames": COUNT, "status": COUNTS, "floor_sources": COUNTS,
-    "floor_refused": COUNTS, "busy_s": {TEXT: NUMBER}, "workers": COUNT, "devices": COUNT,
+    "overflow_frames": COUNT, "tilted_frames": COUNT, "short_rectangles": COUNT,
+    "status": COUNTS, "floor_sources": COUNTS, "floor_refused": COUNTS,
+    "busy_s": {TEXT: NUMBER}, "workers": COUNT, "devices": COUNT,
     "seconds": NUMBER, "first_batch_s": NUMBER, "frames_per_s": (MAYBE, NUMBER),
     "map": (MAYBE, TEXT), "pictures": [TEXT], "warnings": [TEXT], "notes": [TEXT],
     "frame_errors": [TEXT], "cameras_left_out": [TEXT], "calibration": (MAYBE, CALIBRATION),

@@ -147,8 +147,8 @@ class LogSummary(Counts):
             return None
         reasons = ", ".join(f"{n} {name}" for name, n in self.floor_refused.most_common())
         nothing = self.floor_sources["none"]
-        others = [f"{n} have that of {name}" for name, n in self.floor_sources.items() if n]
-        others = [text for text in others if not text.endswith((" frame", " none"))]
+        priors = {k: n for k, n in self.floor_sources.items() if n and k not in ("frame", "none")}
+        others = [f"{n} have that of {name}" for name, n in priors.items()]
         if nothing:
             others.append(f"in {nothing} no floor is known, so their obstacles have no distance")
         remedy = "give the camera's true --ground.camera-height-m, --ground.camera-pitch and "

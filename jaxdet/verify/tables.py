@@ -54,8 +54,6 @@ def _check_log(results: Results, log: ResultLog, read: Inputs, report: Report) -
     if problem := _gap(results, np.concatenate([*numbers, np.zeros(0, np.int64)])):
         report.add("tables", log.label, problem)
     for part in fields(Counts):
-        if part.name not in log.summary:
-            continue  # older versions lack some counts
         found, stored = getattr(counts, part.name), log.summary[part.name]
         if part.name != "busy_s" and found != (
             Counter(stored) if isinstance(stored, dict) else stored

@@ -6,7 +6,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from jaxdet.errors import InputError
-from jaxdet.results.reading import TRACKS, Results
+from jaxdet.results.layout import TRACKS
+from jaxdet.results.reading import Results
 from jaxdet.tracks.folder import is_track_file, tracking, write_tracks
 from jaxdet.verify.report import Report
 

@@ -16,6 +16,25 @@ SAME += ("map.npz", "map.png", "tracks.png", "pictures/")
 
 
 @pytest.mark.fleet
+def test_tracks_are_added_to_results_in_a_bucket(bucket, tmp_path):
+    log = tmp_path / "a.mcap"
+    write_log(log, SimConfig(frames=4, width=160, height=120))
+    results = f"{bucket}/results"
+    command = ["run", str(log), "-o", results, "--pictures", "0", "-q"]
+    assert main(command) == 0
+    before = download(results, "a", tmp_path / "before")
+    assert main([*command, "--tracks"]) == 0
+    after = download(results, "a", tmp_path / "after")
+    assert not (before / "tracks.parquet").exists() and main(["verify", str(after)]) == 0
+    new = {path.name for path in after.iterdir()} - {path.name for path in before.iterdir()}
+    assert new >= {"tracks.parquet", "track_links.parquet"}
+    keys = [entry.key for entry in open_place(results).list()]
+    assert main([*command, "--tracks"]) == 0
+    assert [entry.key for entry in open_place(results).list()] == keys
+    assert len({key.split("/")[1] for key in keys if key.startswith("a/")}) == 2
+
+
+@pytest.mark.fleet
 def test_results_equal_those_of_one_machine(bucket, tmp_path, capsys):
     logs, how = tmp_path / "logs", ["--pictures", "1", "--tracks"]
     for seed in (1, 2):
