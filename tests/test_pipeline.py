@@ -35,7 +35,7 @@ def recorded_frames(shared_data: Path) -> Frames:
     motion = Extrinsics(IDENTITY, (0.0148, 0.0, 0.0))
     calibration = Calibration(depth_camera, Intrinsics(640, 480, 610, 610, 320, 240), motion)
     folder = shared_data / "aims_slam/data"
-    numbers = (8, 60, 130, 176)
+    numbers = (8, 40, 60, 130, 144, 176)
     color = [cv2.imread(str(folder / f"rgb/{n}.png"))[..., ::-1] for n in numbers]
     depth = [cv2.imread(str(folder / f"depth/{n}.png"), cv2.IMREAD_UNCHANGED) for n in numbers]
     plane = level(len(numbers), 0.6225, np.radians(19.2), np.radians(10.5))
