@@ -118,7 +118,7 @@ def test_a_detector_made_from_a_log_refuses_other_logs(sim_log, tmp_path):
     path = tmp_path / "other.mcap"
     path.write_bytes(sim_log.read_bytes())
     with jaxdet.open_log(sim_log) as log, jaxdet.open_log(path) as other:
-        detector = Detector.from_log(log, config=config, backend="reference")
+        detector = Detector.from_log(log, config=config)
         with pytest.raises(InputError, match="created from 'sim', got 'other'"):
             next(detector.run(other))
         with jaxdet.open_log(sim_log) as again:

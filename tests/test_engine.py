@@ -118,7 +118,7 @@ class FakeLog:
         assert not any(t.name.startswith("jaxdet-reader") for t in threading.enumerate())
 
     def described(self, notes: Notes) -> SimpleNamespace:
-        return self.description
+        return SimpleNamespace(warnings=("odd", "late"), notes=(), cameras_left_out=())
 
     def read(self, indices: Any, **color: Any) -> Batch:
         return self._batch(np.array(indices), len(indices))
@@ -179,7 +179,9 @@ def test_every_frame_has_a_row_with_its_status(fake_logs: list, tmp_path: Path) 
     assert rows[0]["camera_height_m"] is None
     assert summary.logs[0].num_bad == 5
     assert summary.logs[0].frame_errors[0] == "frame 6: bad"
-    assert any("5 of 5 frames don't show their floor" in w for w in summary.logs[0].warnings)
+    warnings = summary.logs[0].warnings
+    assert any("5 of 5 frames don't show their floor" in text for text in warnings)
+    assert warnings.count("odd") == warnings.count("late") == 1
     assert summary.logs[0].notes[-1] == "no map: no frame has a pose"
 
 

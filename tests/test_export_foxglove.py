@@ -289,7 +289,7 @@ def test_logs_with_other_topics_have_separate_layouts(driven_log: Path, tmp_path
     for log in logs[:2]:
         shutil.copy(driven_log, log)
     join_cameras({"rear": driven_log}, logs[2])
-    run_logs(logs, tmp_path / "results", backend="reference", pictures=0)
+    run_logs(logs, tmp_path / "results", pictures=0)
     with Results(tmp_path / "results") as results:
         export(results, "foxglove", tmp_path / "out", {})
     names = {path.name for path in (tmp_path / "out").glob("*.json")}

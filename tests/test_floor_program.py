@@ -102,8 +102,9 @@ def test_floors_equal_the_reference_on_steps() -> None:
         for drop, start in ((0.05, 1.8), (0.15, 2.5), (1.3, 1.8)):
             kerb = [((-9.0, start, 0.0), (9.0, 9.0, drop / 2))]
             for shown in (cast_step(pose, drop, start), cast(pose, kerb)):
+                depth = measured(shown, noise=0.004)
                 for prior in priors(pose.plane()):
-                    depths.append(measured(shown, noise=0.004))
+                    depths.append(depth)
                     known.append(prior)
     grid, prior = positions(np.stack(depths), CAMERA), join_planes(known)
     found = assert_same(grid, prior)

@@ -138,11 +138,6 @@ def test_pages_are_shown_in_the_pager_of_the_user():
     assert b"Tracks: obstacles over time" in shown and b"# Tracks" not in shown
 
 
-def test_snippets_of_all_languages_are_found():
-    found = dict(blocks("x\n```sh\njaxdet run a \\\n  --output b  # why\n```\n"))
-    assert commands(found["sh"]) == [["jaxdet", "run", "a", "--output", "b"]]
-
-
 LINKS = [
     (name, target)
     for name, path in DOCUMENTS.items()

@@ -13,8 +13,10 @@ import pytest
 
 from jaxdet.errors import FrameStatus, InputError
 from jaxdet.io import Log, LogOptions, find_logs, open_log, sqlite
+from jaxdet.io import open_log as open_only
 from jaxdet.io.bag import records
 from jaxdet.io.chunks import DamageError
+from jaxdet.io.limits import ReadMemory
 from jaxdet.io.sqlite import SqliteFile
 from jaxdet.sim import SimConfig, write_log
 from tests.io_helpers import convert_log
@@ -141,6 +143,22 @@ def test_a_damaged_chunk_of_a_bag_is_reported(mcap, tmp_path):
         topics = [topic for topic in log.description.topics if "can't be dec" in topic.problem]
         assert log.num_frames == 8 and len(lost) + len(topics) > 0
         assert all("chunk can't be decompressed" in topic.problem for topic in topics)
+
+
+def test_a_chunk_of_a_bag_that_exceeds_the_memory_is_refused(mcap, tmp_path):
+    """Its size after decompression counts."""
+    path = convert_log(mcap, tmp_path / "sim.bag", "bz2")
+    chunks = [item for item in records(path.read_bytes()[13:]) if item.op == 5]
+    most = max(item.number(b"size") for item in chunks)
+    assert max(item.size for item in chunks) < most
+
+    def read(chunk: int) -> list[FrameStatus]:
+        with open_only(str(path), memory=ReadMemory(chunk)) as log:
+            return [status for batch in log.batches(3) for status in batch.status]
+
+    assert read(most) == [FrameStatus.OK] * 8
+    with pytest.raises(InputError, match=r"a chunk of .* needs .*; raise --memory by"):
+        read(most - 1)
 
 
 def count_messages(path: Path) -> int:

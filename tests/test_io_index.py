@@ -284,6 +284,24 @@ def test_offsets_between_clocks_are_applied(tmp_path, ahead_s):
         assert any(text in item for item in warnings) == other
 
 
+@pytest.mark.parametrize("late", [COLOR, DEPTH])
+def test_images_that_are_recorded_late_are_paired(tmp_path, late):
+    """The recorder receives one stream 0.4 s later than the other, a dozen images."""
+    path, stamps = str(tmp_path / "x.mcap"), range(START, START + 200 * 33 * MS, 33 * MS)
+    delay = {COLOR: 0, DEPTH: 0, late: 400 * MS}
+    with LogFile(tmp_path / "x.mcap", chunk_size=9000) as log:
+        write_calibration(log)
+        sender = Sender(log)
+        for at, topic, stamp in sorted(
+            (s + delay[t], t, s) for s in stamps for t in (COLOR, DEPTH)
+        ):
+            sender.image(topic, stamp // MS, stamp, at)
+    with open_only(path) as log, open_only(path, LogOptions(scan=True)) as scanned:
+        assert is_indexed(log)
+        assert_same_log(log, scanned)
+        assert (log.color_stamps_ns == log.stamps_ns).all()
+
+
 @pytest.mark.parametrize("field", ["log time", "offset", "count", "channel", "opcode", "summary"])
 def test_a_wrong_index_causes_a_scan(tmp_path, field):
     path = long_log(tmp_path / "x.mcap", 60, compression="lz4")

@@ -56,7 +56,7 @@ def test_a_command_killed_with_its_workers_is_resumed(
     draw = random.Random(len(stops))
     for number in stops:
         process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
-        time.sleep(draw.uniform(1.0, 5.0))
+        time.sleep(draw.uniform(0.5, 4.0))
         os.killpg(process.pid, number)
         assert process.wait() in (-number, 128 + number, 0)
         if (tmp_path / "out" / "run.json").exists():

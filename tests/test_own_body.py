@@ -110,7 +110,7 @@ def test_a_masked_body_is_not_an_obstacle_and_hides_no_floor(logs, mask, tmp_pat
 def test_results_contain_the_mask(logs, mask, tmp_path, monkeypatch):
     monkeypatch.chdir(logs)
     results = tmp_path / "results"
-    quiet = ["-q", "--backend", "reference", "--pictures", "0"]
+    quiet = ["-q", "--pictures", "0"]
     given = ["run", "arm.mcap", "-o", str(results), "--log.mask", str(mask)]
     assert main([*given, *quiet]) == 0
     mask.unlink()

@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "logs").mkdir()
     for name in ("a", "b"):
         sim_log(folder / "logs" / f"{name}.mcap", seed=ord(name))
-    run_logs(folder / "logs", folder / "results", backend="reference", pictures=1)
+    run_logs(folder / "logs", folder / "results", pictures=1)
     rows = _rows(folder, "frames")
     for row in rows:
         row["color_stamp_ns"] += 85  # digits that float64 would lose

@@ -33,7 +33,7 @@ def write_results(folder: Path) -> Path:
     for name, frames in (("a", 9), ("b", 4)):
         write_log(folder / f"{name}.mcap", SimConfig(frames=frames, width=160, height=120))
     (folder / "ab.mcap").write_bytes(b"no log")
-    how = {"backend": "reference", "batch_size": 4, "pictures": 2, "preset": "wheeled"}
+    how = {"batch_size": 4, "pictures": 2, "preset": "wheeled"}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(writer, "ROWS_PER_GROUP", 7)
         run_logs(folder, folder / "out", CONFIG, log=OPTIONS, **how)

@@ -19,7 +19,7 @@ def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return results of a log, with tracks."""
     folder = tmp_path_factory.mktemp("received")
     results = folder / "results"
-    run_logs([sim_log(folder / "a.mcap", seed=0)], results, backend="reference", pictures=0)
+    run_logs([sim_log(folder / "a.mcap", seed=0)], results, pictures=0)
     assert main(["track", str(results), "-q"]) == 0
     return results
 

@@ -478,7 +478,7 @@ def results(folder: Path, name: str, sim: SimConfig, far_m: float = 4.0, **run: 
     write_log(folder / f"{name}.mcap", sim)
     out = folder / name
     config = Config(ground=GroundConfig(max_depth_m=far_m))
-    how = {"backend": "reference", "pictures": 0, "preset": "wheeled", **run}
+    how = {"pictures": 0, "preset": "wheeled", **run}
     run_logs(folder / f"{name}.mcap", out, config, **how)
     return only_log(out)
 
@@ -500,7 +500,7 @@ def test_the_reason_for_tracks_in_the_camera_frame_is_reported(
     sim = dataclasses.replace(SIM, odometry_hz=odometry_hz, frames=4)
     write_log(tmp_path / "log.mcap", sim)
     config = Config(ground=GroundConfig(source=source))
-    run_logs(tmp_path / "log.mcap", tmp_path / "out", config, backend="reference", pictures=0)
+    run_logs(tmp_path / "log.mcap", tmp_path / "out", config, pictures=0)
     assert main(["track", str(tmp_path / "out")]) == 0
     assert f"in the camera's frame ({why});" in capsys.readouterr().out
 
@@ -571,7 +571,7 @@ def test_tables_do_not_depend_on_the_split_of_the_log(folder: Path, tmp_path: Pa
     )
     [log] = find_logs([str(tmp_path / "log")])
     assert len(log.paths) == 5
-    run_logs([log], out, config, backend="reference", pictures=0, preset="wheeled")
+    run_logs([log], out, config, pictures=0, preset="wheeled")
     out = only_log(out)
     track_results(out)
     track_results(folder)
@@ -625,7 +625,7 @@ def test_each_log_is_reported_with_its_tracks(tmp_path: Path, monkeypatch: pytes
         sim = dataclasses.replace(SIM, frames=12, odometry_hz=hz)
         write_log(tmp_path / f"{name}.mcap", sim)
     out = tmp_path / "out"
-    run_logs(tmp_path, out, backend="reference", pictures=0)
+    run_logs(tmp_path, out, pictures=0)
 
     def table(name: str) -> list[dict]:
         return [row for log in "ab" for row in pq.read_table(out / log / name).to_pylist()]

@@ -165,7 +165,7 @@ def test_an_error_names_log_and_frame(sim_logs, tmp_path, way, text):
 
 
 def test_frames_that_kill_workers_have_rows_with_their_status(sim_logs, plain_run, tmp_path):
-    options = {"workers": 2, "batch_size": 4, "backend": "reference", "pictures": 0}
+    options = {"workers": 2, "batch_size": 4, "pictures": 0}
     summary = run(sim_logs[:1], tmp_path, observers={"odd": Odd("exit")}, **options)
     assert not summary.failed and summary.frames == FRAMES
     reason = "a worker process ended with code 3, twice"
@@ -200,7 +200,7 @@ def test_a_log_that_differs_from_its_index_is_scanned(
 
     real = process_log.open_log
     monkeypatch.setattr(process_log, "open_log", open_log)
-    options = {"workers": workers, "batch_size": 4, "backend": "reference"}
+    options = {"workers": workers, "batch_size": 4}
     summary = run(sim_logs[:1], tmp_path / "a", observers={"odd": odd}, **options)
     assert opened == [False, True]
     assert not summary.failed and summary.frames == summary.logs[0].frames == FRAMES

@@ -43,7 +43,7 @@ class HostileResults:
         self._folder = folder
         logs = [sim_log(folder / f"{name}.mcap", seed=seed) for seed, name in enumerate("ab")]
         self._good = folder / "good"
-        run_logs(logs, self._good, backend="reference", pictures=1)
+        run_logs(logs, self._good, pictures=1)
         _run(["track", str(self._good)])
         _judged("export coco", self._good, folder / "coco")  # compile before the first case
         self._files = sorted(path for path in self._good.rglob("*") if path.is_file())

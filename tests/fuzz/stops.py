@@ -58,13 +58,16 @@ class Stops:
         self._folder, self._log, self._errors = folder, folder / "log.mcap", folder / "errors"
         write_log(self._log, SimConfig(frames=6, width=160, height=120))
         self._complete(folder / "first", 1)  # a first run may compile
-        self._cpu_s = {n: self._complete(folder / f"{n}", n) for n in set(WORKERS)}
-        self._good = _tables(folder / f"{WORKERS[0]}" / "log")
+        self._cpu_s = {1: self._complete(folder / "1", 1)}
+        """CPU time of the main process of an uninterrupted run, by the number of workers [s]."""
+        self._good = _tables(folder / "1" / "log")
 
     def one(self, seed: int) -> Case:
         """Interrupt a run at a time that depends on the seed."""
         random = Random(seed)
         workers = random.choice(WORKERS)
+        if workers not in self._cpu_s:
+            self._cpu_s[workers] = self._complete(self._folder / f"{workers}", workers)
         cpu_s = random.uniform(0, 1.1 * self._cpu_s[workers])
         wait_s = random.uniform(0, 0.05)  # so that some signals arrive while the process waits
         output = self._folder / "out"
