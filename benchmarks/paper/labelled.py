@@ -87,6 +87,7 @@ RECORDINGS = (
     Recording("d435_boxes_felixchenfy", "d435_boxes_felixchenfy", 0.5, held_out=3),
     *recordings_of(stills.ROOMS),
     *recordings_of(stills.PUBLIC),
+    *recordings_of(stills.PUBLIC2),
 )
 
 

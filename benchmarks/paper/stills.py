@@ -10,10 +10,12 @@ import numpy as np
 from jaxdet.errors import InputError
 
 LABELS = Path(__file__).with_name("labels")
-ROOMS, PUBLIC = LABELS / "rooms.json", LABELS / "public.json"
+ROOMS, PUBLIC, PUBLIC2 = (LABELS / f"{name}.json" for name in ("rooms", "public", "public2"))
 """Recipes, one dictionary per recording; the public ones have ``place`` and ``split``."""
 SUN_TURN = 3
 """Number of bits by which SUN RGB-D rotates its depths."""
+NIVIEWER_BYTES = 24
+"""Size of the header of a frame that NiViewer has saved: format, width, height, and others."""
 TICK, PICTURE_HEIGHT, MARGIN = 50, 480, 24
 
 
@@ -34,8 +36,12 @@ def read_color(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     Raises:
         InputError: The image can't be read.
     """
-    array = path.suffix == ".npy"
-    image = np.load(path) if array else cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if path.suffix == ".npy":
+        image = np.load(path)
+    elif path.suffix == ".raw":
+        image = _read_raw(path, np.uint8, 3)[..., ::-1]
+    else:
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
         raise InputError("no image can be read", path=str(path))
     if size is not None and image.shape[1::-1] != tuple(size):
@@ -47,7 +53,7 @@ def read_depth(path: Path, unit_m: float, coding: str = "") -> np.ndarray:
     """Read a depth image ``(H, W)`` uint16 [mm]; 0 means no measurement.
 
     Args:
-        path: Path of an image, or of an array in a ``.npy`` or ``.mat`` file.
+        path: Path of an image, of an array in a ``.npy`` or ``.mat`` file, or of a ``.raw`` file.
         unit_m: Unit of its values [m].
         coding: ``sunrgbd`` if its bits are rotated as in SUN RGB-D.
 
@@ -58,6 +64,8 @@ def read_depth(path: Path, unit_m: float, coding: str = "") -> np.ndarray:
         from scipy.io import loadmat
 
         image = loadmat(path)["depth_array"]
+    elif path.suffix == ".raw":
+        image = _read_raw(path, np.uint16, 1)[..., 0]
     elif path.suffix == ".npy":
         image = np.load(path)
     else:
@@ -69,6 +77,20 @@ def read_depth(path: Path, unit_m: float, coding: str = "") -> np.ndarray:
         image = np.right_shift(turned, SUN_TURN) | np.left_shift(turned, 16 - SUN_TURN)
     millimetres = np.nan_to_num(image * (unit_m / 0.001), posinf=0, neginf=0)
     return np.clip(np.rint(millimetres), 0, 65535).astype(np.uint16)
+
+
+def _read_raw(path: Path, dtype: type, channels: int) -> np.ndarray:
+    """Return a frame that NiViewer has saved, ``(H, W, channels)``.
+
+    Raises:
+        InputError: The size in its header is not that of the file.
+    """
+    data = path.read_bytes()
+    width, height = np.frombuffer(data[4:12].ljust(8, b"\0"), np.uint32).tolist()
+    values = np.frombuffer(data[NIVIEWER_BYTES:], dtype)
+    if not values.size or values.size != width * height * channels:
+        raise InputError("no frame of NiViewer", path=str(path))
+    return values.reshape(height, width, channels)
 
 
 def frame_id(room: dict[str, Any], number: int) -> str:

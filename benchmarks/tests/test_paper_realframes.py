@@ -145,7 +145,9 @@ TAGS = {"low", "thin", "glass", "dark", "shiny", "path", "cut"}
 
 
 @pytest.mark.parametrize(
-    ("recipe", "tags"), [(stills.ROOMS, set()), (stills.PUBLIC, TAGS)], ids=("rooms", "public")
+    ("recipe", "tags"),
+    [(stills.ROOMS, set()), (stills.PUBLIC, TAGS), (stills.PUBLIC2, TAGS)],
+    ids=("rooms", "public", "public2"),
 )
 def test_stills_have_labels_of_their_frames(recipe, tags):
     rooms, used = stills.read_recipe(recipe), set()
@@ -153,6 +155,7 @@ def test_stills_have_labels_of_their_frames(recipe, tags):
     assert files == {f"{recipe.stem}_{room['name']}" for room in rooms}
     for room in rooms:
         labels = read_boxes(BOXES / f"{recipe.stem}_{room['name']}.txt")
+        assert recipe != stills.PUBLIC2 or len(labels) == len(room["frames"])
         for frame, mine in labels.items():
             assert 0 <= frame < len(room["frames"])
             assert (mine.distance_m > 0.2).all() and (mine.distance_m < 4.3).all()
@@ -229,19 +232,61 @@ def test_stills_of_repositories_are_converted_to_logs(tmp_path):
     assert run.returncode == 2 and run.stderr.count("\n") == 1 and "no clone" in run.stderr
 
 
-def test_repositories_of_the_public_recipe_are_in_one_split_and_not_in_rooms():
-    recipe = stills.read_recipe(stills.PUBLIC)
-    rooms = stills.read_recipe(stills.ROOMS)
+@pytest.mark.parametrize("path", [stills.PUBLIC, stills.PUBLIC2], ids=("public", "public2"))
+def test_repositories_of_a_public_recipe_are_in_one_split_and_in_no_other_recipe(path):
+    recipe = stills.read_recipe(path)
+    others = [
+        room
+        for other in (stills.ROOMS, stills.PUBLIC, stills.PUBLIC2)
+        if other != path
+        for room in stills.read_recipe(other)
+    ]
     names = [room["name"] for room in recipe]
-    assert len(set(names)) == len(names) and not set(names) & {room["name"] for room in rooms}
-    assert not {room["repository"] for room in recipe} & {room["repository"] for room in rooms}
+    assert len(set(names)) == len(names) and not set(names) & {room["name"] for room in others}
+    assert not {room["repository"] for room in recipe} & {room["repository"] for room in others}
     splits: dict[str, set[str]] = {}
     for room in recipe:
         assert room["place"] in ("room", "corridor", "outdoor", "table")
         assert len(room["color"]) == 4 and len(room["size"]) == 2 and 1 <= len(room["frames"]) <= 8
-        assert len(room["commit"]) == 40 and 0.0001 <= room["depth_unit_m"] <= 0.001
+        assert len(room["commit"]) == 40 and 0.0001 <= room["depth_unit_m"] <= 1
         splits.setdefault(room["repository"], set()).add(room["split"])
     assert all(split in ({"learn"}, {"last"}) for split in splits.values())
+
+
+def test_raw_frames_of_niviewer_are_read(tmp_path):
+    """A header of 24 bytes with the image's size, then BGR or millimetres."""
+    header = np.array([2, 4, 3, 0, 0, 0], np.uint32).tobytes()
+    color = np.arange(36, dtype=np.uint8).reshape(3, 4, 3)
+    depth = np.arange(12, dtype=np.uint16).reshape(3, 4) * 100
+    (tmp_path / "color.raw").write_bytes(header + color.tobytes())
+    (tmp_path / "depth.raw").write_bytes(header + depth.tobytes())
+    np.testing.assert_array_equal(stills.read_color(tmp_path / "color.raw"), color)
+    np.testing.assert_array_equal(stills.read_depth(tmp_path / "depth.raw", 0.001), depth)
+    for data in (b"", header, header + depth.tobytes()[:-2]):
+        (tmp_path / "depth.raw").write_bytes(data)
+        with pytest.raises(InputError, match="no frame of NiViewer"):
+            stills.read_depth(tmp_path / "depth.raw", 0.001)
+
+
+def test_depth_may_have_another_size_than_colour(tmp_path):
+    clone = tmp_path / "clones" / "one"
+    clone.mkdir(parents=True)
+    cv2.imwrite(str(clone / "color.png"), np.zeros((54, 96, 3), np.uint8))
+    cv2.imwrite(str(clone / "depth.png"), np.full((42, 51), 1500, np.uint16))
+    room = {"name": "one", "repository": "some/one", "size": [96, 54], "depth_size": [51, 42]}
+    room |= {"color": [50, 50, 48, 27], "depth": [36, 36, 25, 21], "distortion": []}
+    room |= {"depth_unit_m": 0.001, "frames": [["color.png", "depth.png"]]}
+    room["color_from_depth"] = {"rotation": np.eye(3).ravel().tolist(), "translation": [0.05, 0, 0]}
+    (tmp_path / "recipe.json").write_text(json.dumps([room]))
+    script = str(Path(__file__).parents[2] / "scripts" / "rooms_to_mcap")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, script, str(tmp_path / "clones"), str(tmp_path / "out")]
+    command += ["--recipe", str(tmp_path / "recipe.json")]
+    subprocess.run(command, check=True, capture_output=True, env=environment)
+    with open_log(str(tmp_path / "out" / "one.mcap")) as log:
+        assert not log.calibration.is_aligned
+        assert (log.calibration.depth.width, log.calibration.depth.height) == (51, 42)
+        assert next(iter(log.batches(1))).frames.depth.shape == (1, 42, 51)
 
 
 def test_images_and_pictures_for_labelling_are_written(tmp_path):
