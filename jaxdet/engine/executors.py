@@ -176,7 +176,7 @@ class InPool:
         return UnitJob(self.log, plan, self._serve())
 
     def _serve(self) -> Served | None:
-        """Let GPUs compute for the workers; return what they compute, or None without GPUs."""
+        """Let GPUs compute for the workers; return the format of the frames, or None without GPUs."""
         if not self.pool.devices:
             return None
         settings = self.settings
@@ -206,7 +206,7 @@ class UnitJob(NamedTuple):
     """Open log; it is sent with its index but without the content of its files."""
     plan: LogPlan
     served: Served | None
-    """What GPUs compute; None if workers compute."""
+    """Format of the frames that GPUs compute; None if workers compute."""
 
     @contextmanager
     def open(self, process: WorkerProcess) -> Iterator[Callable[[Unit], UnitResult]]:

@@ -40,7 +40,7 @@ class LogJob(NamedTuple):
     devices: int
     """Number of GPUs."""
     served: "Served | None"
-    """What GPUs compute; None if workers compute."""
+    """Format of the frames that GPUs compute; None if workers compute."""
 
     @contextmanager
     def open(self, process: WorkerProcess) -> Iterator[Callable[[LogTask], Any]]:
