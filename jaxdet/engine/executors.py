@@ -176,7 +176,7 @@ class InPool:
         return UnitJob(self.log, plan, self._serve())
 
     def _serve(self) -> Served | None:
-        """Let GPUs compute for the workers; return the format of the frames, or None without GPUs."""
+        """Let GPUs compute for workers; return the format of the frames, or None without GPUs."""
         if not self.pool.devices:
             return None
         settings = self.settings
