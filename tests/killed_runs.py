@@ -13,7 +13,7 @@ from shutil import copytree, rmtree
 from typing import Any
 
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import device
+from jaxdet.engine import device, unit
 from jaxdet.engine.output import OutputFolder
 from jaxdet.results import publish
 from jaxdet.results.durable import sha256
@@ -71,6 +71,8 @@ def main(folder: Path, commands: Sequence[str]) -> None:
             system call, each time in a new process, and killed again while it is repeated.
     """
     device.detect = remembered(device.detect)
+    unit.detect_on_cpu = remembered(unit.detect_on_cpu)
+    unit.draw_frame = remembered(unit.draw_frame)
     # A run after one that was killed leaves its logs to worker processes, which take seconds to
     # start; tests/test_killed.py kills commands with workers.
     OutputFolder.taken_over = property(lambda output: False, lambda output, value: None)  # pyright: ignore
@@ -118,17 +120,19 @@ def end_at_each_call(logs: Path, old: Path, folder: Path, command: str, every: i
     return kills
 
 
-def remembered(detect: Callable[..., Any]) -> Callable[..., Any]:
-    """Cache results of batches, computed by the first run, for the processes forked later."""
+def remembered(compute: Callable[..., Any]) -> Callable[..., Any]:
+    """Cache what the first run computes from batches, for the processes forked later."""
     known: dict[Any, Any] = {}
 
-    def found(frames: Any, config: Config, **how: Any) -> Any:
-        key = frames.stamp_ns.tobytes() + frames.depth.tobytes(), config, tuple(how.items())
+    def computed(frames: Any, *more: Any, **how: Any) -> Any:
+        values = *more, *how.values()
+        plain = [value for value in values if isinstance(value, str | int | Config)]
+        key = frames.stamp_ns.tobytes() + frames.depth.tobytes(), *plain
         if key not in known:
-            known[key] = detect(frames, config, **how)
+            known[key] = compute(frames, *more, **how)
         return known[key]
 
-    return found
+    return computed
 
 
 if __name__ == "__main__":

@@ -296,7 +296,9 @@ def test_browser_shows_lost_frames(made: Path, tmp_path: Path, browser: Any) -> 
     outlines = sum(len(frame["rows"]) for frame in found)
     assert page.locator(".card .plan polygon").count() == outlines > len(found)
     shown = page.locator("#shown").inner_text()
-    assert re.search(r"; no pictures of some frames: /nowhere/.*with --log, and 1 further log$", shown)
+    assert re.search(
+        r"; no pictures of some frames: /nowhere/.*with --log, and 1 further log$", shown
+    )
     for kind, name in (("lost", "Without a result"), ("overflow", "Overflow")):
         page.get_by_role("radio", name=name).click()
         assert cards() == sum(kind in frame["kinds"] for frame in data["frames"]) > 0

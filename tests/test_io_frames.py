@@ -3,7 +3,7 @@
 import gc
 import tracemalloc
 import weakref
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from jaxdet.io import LogOptions, mcap_scan, open_log, opening, store
 from jaxdet.io import log as log_module
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.mcap_file import McapFile
+from jaxdet.io.store import ChunkStore
 from tests.io_helpers import (
     COLOR,
     COLOR_FRAME,
@@ -289,32 +290,13 @@ def test_an_unreadable_chunk_is_read_again(tmp_path, monkeypatch, whole):
         assert log.read([20]).errors == ("",)
 
 
-@pytest.mark.parametrize("use_chunking", [False, True])
-def test_records_are_processed_while_the_file_is_scanned(tmp_path, use_chunking):
-    path = write_log(tmp_path / "log.mcap", make_scene(12), use_chunking=use_chunking)
-    walked = 0
-
-    def records():
-        nonlocal walked
-        for record in mcap_scan._Scan(file).records():
-            walked += 1
-            yield record
-
-    file = McapFile(path, 1 << 30)
-    with ThreadPoolExecutor(1) as pool:
-        for taken, _ in enumerate(mcap_scan.ahead(file, records(), pool)):
-            assert walked - taken <= (mcap_scan.AHEAD_RECORDS + 1 if use_chunking else 1)
-    file.close()
-    assert walked > 12 or use_chunking
-
-
 def test_one_chunk_is_in_memory_if_two_exceed_the_limit(tmp_path, monkeypatch):
     size = 4 << 20
     scene = make_scene(6, size=(1024, 1024))
     path = write_log(tmp_path / "log.mcap", scene, compression="zstd", chunk_size=size)
-    monkeypatch.setattr(mcap_scan, "AHEAD_BYTES", 0)
+    small = partial(ChunkStore, threads=1, cache_bytes=0)
+    monkeypatch.setattr(mcap_scan, "ChunkStore", small)
     file = McapFile(path, 1 << 30)
-    monkeypatch.setattr(mcap_scan, "cores", lambda: 1)
     tracemalloc.start()
     index = mcap_scan.rebuild_mcap_index(file)
     _, peak = tracemalloc.get_traced_memory()

@@ -213,6 +213,7 @@ def test_files_matched_twice_by_a_glob_are_read_once(tmp_path, pattern):
 
 def test_the_other_splits_of_a_given_split_are_found(tmp_path):
     touch(tmp_path, "run_0.mcap", "run_2.mcap", "run_1.mcap", "other_0.mcap")
+    list_files(tmp_path, "run_0.mcap", "run_1.mcap", "run_2.mcap")
     [log] = find_logs([str(tmp_path / "run_1.mcap")])
     assert log.name == "run_1"
     assert [path.name for path in siblings(log)] == ["run_0.mcap", "run_2.mcap"]
@@ -225,7 +226,8 @@ def test_opening_one_of_many_numbered_recordings_reads_few_files(tmp_path, monke
         write_log(tmp_path / f"run_{number}.mcap", moved(make_scene(2), number * hour))
     logs, looked = find_logs([str(tmp_path)]), []
     monkeypatch.setattr(
-        "jaxdet.io.files.signature", lambda path: looked.append(path) or signature(path)
+        "jaxdet.io.splits.signature",
+        lambda path, *, scan: looked.append(path) or signature(path, scan=scan),
     )
     assert [siblings(log) for log in logs] == [()] * 10
     assert len(looked) <= 4 * len(logs)
@@ -285,35 +287,6 @@ def test_neighbouring_splits_continue_where_the_log_ends(tmp_path):
     assert siblings(LogFiles("run", tuple(paths[1:3]))) == (paths[0], paths[3])
     assert siblings(LogFiles("run", tuple(paths[:4]))) == ()
     assert siblings(LogFiles("run", tuple(paths[5:]))) == (paths[4],)
-
-
-@pytest.mark.parametrize(
-    ("own", "spans", "matrices", "neighbours"),
-    [
-        ([2], [(0, 1), None, (86400, 86401)], "KKK", [1]),
-        ([2], [(0, 1), (1, 2), (2, 3)], "K-L", [1]),
-        ([2, 3], [(3, 4), (10, 11), (8, 9), (12, 13)], "KKKK", [0]),
-        ([0], [(0, 1), (1, 2), (2000, 2001), (2001, 2002)], "KKKK", [1]),
-    ],
-)
-def test_a_neighbouring_split_is_used_only_if_all_nearer_ones_are_used(
-    tmp_path, monkeypatch, own, spans, matrices, neighbours
-):
-    """For splits without images or a calibration, the values of the next nearer split are compared.
-    The clock may be set back between splits.
-    """
-
-    def fake_signature(path: Path) -> Signature:
-        number = int(path.stem.partition("_")[2])
-        span = spans[number] and tuple(second * 10**9 for second in spans[number])
-        known = {} if matrices[number] == "-" else {"info": (matrices[number],)}
-        return Signature({}, frozenset(), span, known)
-
-    monkeypatch.setattr(files, "signature", fake_signature)
-    paths = [tmp_path / f"x_{number}.mcap" for number in range(len(spans))]
-    touch(tmp_path, *(path.name for path in paths))
-    log = LogFiles("x", tuple(paths[number] for number in own))
-    assert siblings(log) == tuple(paths[number] for number in neighbours)
 
 
 def test_an_empty_name_is_an_error(tmp_path, monkeypatch):

@@ -204,13 +204,9 @@ def test_the_search_for_a_time_reads_few_frames():
         seen.append(number)
         return 10 * (1 + number)
 
-    random = np.random.default_rng(0)
-    for jitter in (0, 3, 20_000):
-        about_ns = 10 * np.arange(10**6) + 10**15 + random.integers(0, 10 * jitter + 1, 10**6)
-        about_ns.sort()
-        for first in (0, 1, 7, 500_000, 999_999):
-            seen.clear()
-            start = f"{10 * first / 1e9:.9f}"
-            assert find_part(10, about_ns, stamp_ns, start, None, 1, "log") == range(first, 10**6)
-            assert len(seen) < 40 and {abs(n - first) for n in seen if n} <= set(range(70_000))
-    assert find_part(0, about_ns[:0], stamp_ns, "1", None, 1, "log") == range(0)
+    for first in (0, 1, 7, 500_000, 999_999):
+        seen.clear()
+        start = f"{10 * first / 1e9:.9f}"
+        assert find_part(10, 10**6, stamp_ns, start, None, 1, "log") == range(first, 10**6)
+        assert len(seen) <= 21
+    assert find_part(0, 0, stamp_ns, "1", None, 1, "log") == range(0)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jaxdet import detect
-from jaxdet.config import ClusterConfig, Config, FeaturesConfig, FootprintConfig, GroundConfig
+from jaxdet.config import Config, FootprintConfig, GroundConfig
 from jaxdet.errors import ConfigError
 from jaxdet.pipeline import detect_on_cpu, find_floors
 from jaxdet.presets import PRESETS, preset
@@ -42,24 +42,20 @@ def recorded_frames(shared_data: Path) -> Frames:
     return frames(calibration, np.stack(color), np.stack(depth), plane=plane)
 
 
-CONFIGS = {
-    **{name: PRESETS[name] for name in ("wheeled", "paper", "d455")},
-    "few_slots": replace(Config(), features=FeaturesConfig(max_corners=60)),
-    "tight": replace(Config(), cluster=ClusterConfig(True, 0.02, lateral_gap_m=0.05, min_points=2)),
-}
+METHODS = ["wheeled", "paper", "d455"]
 
 
-@pytest.mark.parametrize("name", CONFIGS)
+@pytest.mark.parametrize("name", METHODS)
 def test_backends_are_equal(device, name):
-    given = made_frames(3), CONFIGS[name]
+    given = made_frames(3), PRESETS[name]
     want = detect(*given, backend="reference")
     assert want.num_obstacles.max() > 0
     assert_equal(detect(*given), want)
 
 
-@pytest.mark.parametrize("name", [name for name in CONFIGS if name != "tight"])
+@pytest.mark.parametrize("name", METHODS)
 def test_backends_are_equal_on_a_recording(device, shared_data, name):
-    given = recorded_frames(shared_data), CONFIGS[name]
+    given = recorded_frames(shared_data), PRESETS[name]
     want = detect(*given, backend="reference")
     assert want.num_obstacles.sum() >= 5
     assert_equal(detect(*given), want)
@@ -116,9 +112,10 @@ def test_floors_and_detections_without_jax_equal_those_of_the_reference():
 
 
 def test_detections_of_the_preset_paper_without_jax_have_points():
-    found = detect_on_cpu(made_frames(2), preset("paper"), backend="jax")
+    given = made_frames(3), preset("paper")
+    found = detect_on_cpu(*given, backend="jax")
     assert found.points is not None
-    assert_equal(found, detect(made_frames(2), preset("paper")))
+    assert_equal(found, detect(*given))
 
 
 WITHOUT_JAX = """

@@ -117,7 +117,7 @@ def test_both_cameras_see_the_same_world():
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_footprints_and_boxes_contain_their_points(family):
-    for frame in sample_frames(family, 5, 2, slope_rad=0.05, width=320, height=240):
+    for frame in sample_frames(family, 5, 2, slope_rad=0.05, width=160, height=120):
         truth = frame_truth(frame)
         T = truth.T_world_camera[0]
         assert truth.visible_pixels[0].sum() == (frame.truth.obstacle_id > 0).sum()

@@ -338,10 +338,11 @@ def test_units_contain_each_frame_once(frames, workers):
 def test_a_gpu_that_computes_for_workers_returns_equal_bytes(
     sim_logs, tmp_path, monkeypatch, preset, workers, size
 ):
-    config = PRESETS[preset]
+    config, backend = PRESETS[preset], "reference" if preset == "paper" else "jax"
     observers = {"odd": Odd(), "score": TruthScore(sim_logs[0], config)}
     with jax.default_device(jax.devices("cpu")[0]):
-        run(sim_logs, tmp_path / "a", workers=1, config=config, observers=observers)
+        plain = {"config": config, "observers": observers, "backend": backend}
+        run(sim_logs, tmp_path / "a", workers=1, **plain)
         copies = on_this_machine(monkeypatch)
         options = {"workers": workers, "batch_size": size, "config": config}
         summary = run(sim_logs, tmp_path / "b", observers=observers, **options)

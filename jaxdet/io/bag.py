@@ -133,10 +133,9 @@ class BagFile(LogFile):
             InputError: The bag's own index is incomplete or wrong.
         """
         try:
-            found = self.read_index()
+            return super().rebuild_index()
         except DamageError as error:
             raise self.without_index(str(error)) from error
-        return found._replace(integrity=found.integrity._replace(by_index=False))
 
     def record(self, position: int, end: int | None = None) -> BagRecord:
         """Return the record at a position in the file.

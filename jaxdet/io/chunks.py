@@ -25,6 +25,8 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")
 PAYLOAD_OFFSET = RECORD_HEAD.size + MESSAGE_HEAD.size
 """Offset of a message's payload from the start of its record [byte]."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
+HEAD_BYTES = 128
+"""Number of bytes of a chunk record's content that contain its header."""
 MAX_TIME_NS = (1 << 63) - 1
 """Maximum log time [ns]; later times are clipped to it."""
 

@@ -4,6 +4,7 @@ Messages that arrive together were measured together. The offset between the clo
 therefore the difference of their median delays, i.e. of header timestamp minus log time.
 """
 
+import math
 from bisect import bisect_left
 from collections.abc import Callable
 from typing import NamedTuple
@@ -17,13 +18,39 @@ from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream
 
 _LEAST_S = 0.5
-"""Minimum offset between different clocks [s]. Smaller offsets are explained by delayed images and
-future-dated transforms."""
+"""Minimum offset between different clocks that is corrected [s]. Smaller offsets may also be due to
+images that were delayed, odometry that was computed late, or future-dated transforms."""
+_LATENCY_S = 0.2
+"""Difference of delays [s] that exposure, processing and transport of images explain."""
+_SIGMAS, _SIGMA_OF_MAD, _ERROR_OF_MEDIAN = 3, 1.4826, 1.2533
+"""Standard errors from which on a difference is significant; standard deviation of a normal
+distribution by its median absolute deviation; standard error of the median of n values, in standard
+deviations by the square root of n."""
 _STEADY = 0.2
 """Maximum deviation of single delays from their median, as a fraction of the offset."""
 _AGREE_NS = 2_000_000
 """Tolerance for timestamps of the same exposure [ns]."""
 _YEAR_NS = 365 * 24 * 3600 * 1_000_000_000
+
+
+class _Difference(NamedTuple):
+    """Difference between the median delays of two topics."""
+
+    ns: int
+    error_ns: float
+    """Standard error of the difference, from the spread of the single delays."""
+    is_steady: bool
+    """Whether single delays deviate little from their median, compared with the difference."""
+
+    @property
+    def offset_ns(self) -> int:
+        """Offset between two clocks [ns]; 0 if it may be the same clock."""
+        return self.ns if self.is_steady and abs(self.ns) > _LEAST_S * 1e9 else 0
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether latencies and the spread of the delays don't explain the difference."""
+        return abs(self.ns) > _LATENCY_S * 1e9 + _SIGMAS * self.error_ns
 
 
 class Offset(NamedTuple):
@@ -62,7 +89,7 @@ def color_offset(
     stepped = len(delays) and abs(last_delay_ns - np.median(delays)) > _LEAST_S * 1e9
     if stepped or _stamps_agree(depth, color):
         return Offset()
-    found = _difference(_delays(color), _delays(depth))
+    found = _difference(_delays(color), _delays(depth)).offset_ns
     return Offset(found, _text(color_topic, found, "--log.color-offset-s")) if found else Offset()
 
 
@@ -75,29 +102,35 @@ def pose_offset(
 ) -> Offset:
     """Return the offset of the timestamps of poses relative to depth.
 
+    A difference that is too small for a correction, but not explained by latency and jitter, is
+    only reported: log times don't show whether a clock is wrong or poses were computed late.
+
     Args:
         contents: Contents of the log.
         options: Options of the user.
         depth_topic: Topic of the depth images.
         color_topic: Topic of the colour images; may be empty.
         sources: Topic and TF frame of each moving transform, or a pose topic and an empty frame.
-            The offset is 0 if any of them has the clock of depth; the others may be future-dated.
+            There is no offset if any of them has the clock of depth; the others may be
+            future-dated.
     """
     if options.pose_offset_s is not None:
         return Offset(round(options.pose_offset_s * 1e9))
-    depth = contents.streams[depth_topic]
-    seen = [contents.delays[key].first for key in sources if key in contents.delays]
-    delays = [np.array([*one.values()], np.int64) for one in seen if one]
-    found = [_difference(one, _delays(depth)) for one in delays]
-    if not found or not all(found):
-        return Offset()
+    images = [contents.streams[depth_topic]]
     if color_topic and color_topic != depth_topic:
         color = contents.streams[color_topic]
-        near = [_difference(one, _delays(color)) for one in delays]
-        if _stamps_agree(depth, color) and not all(near):
-            return Offset()  # depth was written later
-    least = min(found, key=abs)
-    return Offset(least, _text(sources[found.index(least)][0], least, "--log.pose-offset-s"))
+        # If the stamps agree but only depth differs from the poses, depth was written later.
+        images += [color] if _stamps_agree(images[0], color) else []
+    seen = {key: contents.delays[key].first for key in sources if key in contents.delays}
+    delays = {key: np.array([*one.values()], np.int64) for key, one in seen.items() if one}
+    found = [[_difference(one, _delays(stream)) for one in delays.values()] for stream in images]
+    every = [difference for one in found for difference in one]
+    if not every or not all(one.is_doubtful for one in every):
+        return Offset()
+    topic, least = min(zip(delays, found[0], strict=True), key=lambda item: abs(item[1].ns))
+    if not all(one.offset_ns for one in every):
+        return Offset(0, _doubt(topic[0], least))
+    return Offset(least.ns, _text(topic[0], least.ns, "--log.pose-offset-s"))
 
 
 def first_stamp(
@@ -148,15 +181,17 @@ def _delays(stream: ImageStream) -> np.ndarray:
     return np.array([*first.values()] if any(first) else [], np.int64)
 
 
-def _difference(first: np.ndarray, second: np.ndarray) -> int:
-    """Return the offset between two clocks from their delays [ns]; 0 if they are the same clock."""
+def _difference(first: np.ndarray, second: np.ndarray) -> _Difference:
+    """Compare the delays of two topics ``(N,)`` and ``(M,)`` int64 [ns]; they may be empty."""
     if not len(first) or not len(second):
-        return 0
+        return _Difference(0, 0.0, is_steady=False)
     middles = [int(np.median(delays)) for delays in (first, second)]
     found = middles[0] - middles[1]
-    off = [np.median(np.abs(d - m)) for d, m in zip((first, second), middles, strict=True)]
-    steady = max(off) <= _STEADY * abs(found)
-    return found if abs(found) > _LEAST_S * 1e9 and steady else 0
+    pairs = [*zip((first, second), middles, strict=True)]
+    off = [float(np.median(np.abs(delays - middle))) for delays, middle in pairs]
+    variance = sum(one**2 / len(delays) for one, (delays, _) in zip(off, pairs, strict=True))
+    error_ns = _ERROR_OF_MEDIAN * _SIGMA_OF_MAD * math.sqrt(variance)
+    return _Difference(found, error_ns, is_steady=max(off) <= _STEADY * abs(found))
 
 
 def _stamps_agree(depth: ImageStream, color: ImageStream) -> bool:
@@ -175,3 +210,14 @@ def _text(topic: str, offset_ns: int, flag: str) -> str:
     seconds = abs(offset_ns) / 1e9
     text = f"{printable(topic)}: its clock is {seconds:.3f} s {way} depth's, by the log times"
     return f"{text}; this is corrected ({flag} 0 disables the correction)"
+
+
+def _doubt(topic: str, found: _Difference) -> str:
+    """Return the warning about a difference that is not corrected."""
+    way, error_s = "ahead of" if found.ns > 0 else "behind", _SIGMAS * found.error_ns / 1e9
+    text = f"{printable(topic)}: by the log times, its timestamps are {abs(found.ns) / 1e9:.2f} s "
+    text += (
+        f"{way} depth's (within {error_s:.2f} s by their jitter), which is not corrected; if its "
+    )
+    text += f"clock differs, pass --log.pose-offset-s {found.ns / 1e9:.2f}, or 0 if poses are only "
+    return f"{text}published early or late"

@@ -158,13 +158,16 @@ class LogFile(ABC):
             DamageError: The index is missing, incomplete or wrong.
         """
 
-    @abstractmethod
     def rebuild_index(self) -> FileIndex:
         """Build an index of all readable messages by reading the complete file.
+
+        Formats without a way to do so return their own index, whose messages may be unreadable.
 
         Raises:
             InputError: The file was changed meanwhile, or has an impossible number of messages.
         """
+        found = self.read_index()
+        return found._replace(integrity=found.integrity._replace(by_index=False))
 
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
@@ -185,14 +188,6 @@ class LogFile(ABC):
     def chunk_begin(self, position: int, size: int) -> bytes:
         """Return up to ``size`` bytes of a compressed chunk's records, unchecked; may be empty."""
         return b""
-
-    def chunk_bytes(self, position: int) -> int:
-        """Return the maximum memory for :meth:`chunk` at a position [byte]; 0 without a chunk."""
-        try:
-            head = self.chunk_head(position)
-        except DamageError:
-            return 0
-        return min(max(head.uncompressed_size, head.data_size), self.max_bytes)
 
     def name_of(self, position: int) -> str:
         """Return the file name of the image in the chunk; empty if it has no separate file."""

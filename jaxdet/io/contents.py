@@ -140,7 +140,7 @@ class LogContents:
         """Delays of moving transforms and poses, by topic and child frame (empty for poses)."""
         self.trees: dict[str, TransformTree] = {}
         """Transforms by namespace."""
-        self.tree = TransformTree()
+        self.tree = TransformTree(path)
         """Transforms of the camera's robot, see :meth:`of_camera`."""
         self.integrity: list[FileIntegrity] = []
         self.warnings: list[str] = []
@@ -329,7 +329,8 @@ class ContentsBuilder:
             self.contents.delays[key].add(item.stamp_ns, delay, is_first=seen <= FIRST_MOTIONS)
         if decoder.kind is Kind.TRANSFORM:
             if decoder.is_static or self.images:
-                tree = self.contents.trees.setdefault(namespace_of(topic), TransformTree())
+                trees, new = self.contents.trees, TransformTree(self.contents.path)
+                tree = trees.setdefault(namespace_of(topic), new)
                 tree.add(motions, decoder.is_static, decoder.is_foxglove, topic)
         elif self.images:
             for item in motions:

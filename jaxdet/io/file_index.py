@@ -45,7 +45,7 @@ class FileIntegrity(NamedTuple):
     """Reason why the file has no readable summary; empty if it has one."""
     by_index: bool = False
     """Whether the messages are from the file's own index, not from a scan. Then chunks are checked
-    when frames are read from them, and ``chunks_with_crc`` assumes that all are like the first."""
+    when frames are read from them."""
 
     @property
     def recovered(self) -> bool:
@@ -155,8 +155,7 @@ class FileIndex(NamedTuple):
     infos: dict[int, ChannelInfo]
     """All channels by id."""
     counts: dict[int, ChannelCount]
-    """Counts of all channels that have messages. If the chunks of an MCAP file are not in order of
-    log time, the time ranges of unused channels are approximate."""
+    """Counts of all channels that have messages."""
     integrity: FileIntegrity
     messages: IndexedMessages
     """Messages of useful kinds, in file order."""
@@ -166,39 +165,32 @@ def file_index(
     infos: dict[int, ChannelInfo],
     messages: np.ndarray,
     integrity: FileIntegrity,
-    counts: dict[int, ChannelCount] | None = None,
 ) -> FileIndex:
     """Assemble the index of a file.
 
     Args:
         infos: Channels of the file.
-        messages: ``(5, N)`` int64, the first five fields of :class:`IndexedMessages`, in any order;
-            unused messages are dropped.
+        messages: ``(5, N)`` int64, the first five fields of :class:`IndexedMessages`, in any order.
+            Those of unused channels are counted and dropped.
         integrity: Integrity of the file. Message counts are added if the messages are from the
             file's own index.
-        counts: Counts of channels whose messages are not in ``messages``.
 
     Raises:
         DamageError: The channel of a message is not declared, or its id exceeds 16 bits.
     """
     if messages.shape[1] and not 0 <= messages[0].min() <= messages[0].max() <= MAX_CHANNEL:
         raise DamageError("number of a channel is out of range")
-    counts = (counts or {}) | _counts(*messages[:2])
+    counts = _counts(*messages[:2])
     if counts.keys() - infos.keys():
         raise DamageError("message index of an undeclared channel")
-    useful = messages[:, np.isin(messages[0], useful_channels(infos))]
+    useful = [number for number, info in infos.items() if kind_of(info.schema_name) is not None]
+    useful = messages[:, np.isin(messages[0], useful)]
     zero = np.zeros(useful.shape[1], np.int64)
     if integrity.by_index:
         count = sum(item.messages for item in counts.values())
         integrity = integrity._replace(messages=count, declared_messages=count)
     found = IndexedMessages(*useful, file=zero, decoder=zero).in_file_order()
     return FileIndex(infos, counts, integrity, found)
-
-
-def useful_channels(infos: dict[int, ChannelInfo]) -> np.ndarray:
-    """Return the ids of the channels with messages of useful kinds, int64."""
-    useful = [number for number, info in infos.items() if kind_of(info.schema_name) is not None]
-    return np.array(useful, np.int64)
 
 
 def _counts(channel: np.ndarray, log_ns: np.ndarray) -> dict[int, ChannelCount]:

@@ -3,7 +3,7 @@
 import glob
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import chain, islice, pairwise
 from os import PathLike
 from pathlib import Path
@@ -13,7 +13,7 @@ from jaxdet.errors import InputError, printable
 from jaxdet.io.container import RECORDINGS
 from jaxdet.io.folders.layouts import LAYOUTS, image_folders
 from jaxdet.io.folders.recording import APPLE_DOUBLE
-from jaxdet.io.splits import Recording, Signature, difference, gap, joined, recordings, signature
+from jaxdet.io.splits import Recording, recording_around, recordings, signature
 from jaxdet.io.unpacking import PACKED, is_packed
 
 SUFFIXES = (*RECORDINGS, *PACKED)
@@ -204,56 +204,22 @@ def missing_splits(log: LogFiles) -> tuple[int, ...]:
 
 
 def siblings(log: LogFiles) -> tuple[Path, ...]:
-    """Return the splits of the same recording that are not part of the log, in order.
+    """Return the other files of the log's recording, in order, as :func:`find_logs` joins them.
 
     rosbag2 writes static transforms only to the first split, so they are searched in all splits.
     """
     begin = log.paths[0]
-    stem, first = _split(begin)
-    if first < 0:
+    stem, number = _split(begin)
+    if number < 0:
         return ()
     series = _series(stem)
     named = begin.parent.glob(f"{glob.escape(series)}*{begin.suffix}")
-    known = {path: _split(path) for path in sorted(named, key=_order)}
-    splits = [path for path, (own, at) in known.items() if at >= 0 and _series(own) == series]
-    before = [path for path in splits if _order(path) < _order(begin)]
-    after = [path for path in splits[len(before) :] if path.resolve() != begin.resolve()]
-    if not (before or after):
-        return ()
-    own = signature(begin)
-    earlier, later = (
-        _going_on(log, own, part, sign) for part, sign in ((before[::-1], -1), (after, 1))
-    )
-    return (*reversed([*earlier]), *later)
-
-
-def _going_on(
-    log: LogFiles, known: Signature | None, splits: Iterable[Path], sign: int
-) -> Iterator[Path]:
-    """Yield neighbouring splits of the same recording, from near to far.
-
-    Splits that do not match are skipped; the first one with a gap in time ends the search, as does
-    a number that shows that another recording begins.
-
-    Args:
-        log: Files of the log.
-        known: Signature of the first file.
-        splits: Splits from near to far.
-        sign: 1 for later splits, -1 for earlier ones.
-    """
-    own, near = {path.resolve() for path in log.paths}, _split(log.paths[0])[1]
-    for path in splits:
-        number, found = _split(path)[1], signature(path)
-        if path.resolve() not in own:
-            steps = sign * (number - near)
-            pair = (known, found) if sign > 0 else (found, known)
-            if steps <= 0 or gap(*pair, steps):
-                return
-            if difference(*pair, steps):
-                continue
-            yield path
-        known = joined(known, found)
-        near = number if found and found.span_ns else near
+    found = sorted(((_split(path), path) for path in named), key=lambda item: _order(item[1]))
+    splits = [(at, path) for (own, at), path in found if at >= 0 and _series(own) == series]
+    own = {path.resolve() for path in log.paths}
+    places = [place for place, (_, path) in enumerate(splits) if path.resolve() in own]
+    around = recording_around(splits, places[0]) if places else ()
+    return tuple(path for path in around if path.resolve() not in own)
 
 
 def _seen(text: str, skipped: list[Path]) -> list[Path]:

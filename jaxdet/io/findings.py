@@ -1,7 +1,6 @@
 """Topics, calibration, poses and frames of a log, determined before images are decoded."""
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import NamedTuple
 
@@ -20,12 +19,10 @@ from jaxdet.io.cameras import Cameras, find_cameras
 from jaxdet.io.clocks import color_offset, pose_offset
 from jaxdet.io.contents import LogContents
 from jaxdet.io.indexed import IndexedLog
-from jaxdet.io.messages import Kind, kind_of
 from jaxdet.io.options import LogOptions
-from jaxdet.io.poses import Base, PoseSource, find_base, find_poses
+from jaxdet.io.poses import Base, PoseSource, best_source, find_base, pose_sources
 from jaxdet.io.repeats import may_repeat
 from jaxdet.io.streams import NUM_PROBES
-from jaxdet.io.timeline import log_time_warnings
 from jaxdet.io.topics import Choice
 from jaxdet.io.validity import CalibrationWindows
 from jaxdet.io.windows import IndexedFrames
@@ -71,7 +68,7 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
     choice = cameras.chosen(options, contents.path)
     contents = contents.of_camera(choice.depth)
     try:
-        calibrated = _calibrate(contents, choice, options, is_body)
+        calibrated = calibrate(contents, choice, options, is_body=is_body)
     except CalibrationError as error:
         _check_sampled(log, error)
         raise
@@ -79,7 +76,9 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
         _check_sampled(log, calibrated.color_error)
     frames, warnings = _frames(log, choice, calibrated, options)
     used = choice.color if frames.color else ""
-    of_color = color_offset(contents, options, choice.depth, used, _last_delay(frames))
+    last = frames.num_frames - 1
+    delay_ns = frames.stamp_ns(last) - frames.log_ns(last) if last >= 0 else 0
+    of_color = color_offset(contents, options, choice.depth, used, delay_ns)
     motions = log.motions.of_tree(contents.tree)
     frames = frames._replace(motions=motions, color_offset_ns=of_color.ns)
     share_known = partial(_share_known, frames, is_complete=log.is_complete)
@@ -127,7 +126,9 @@ def _frames(
         if topic in zero:
             text = "all header timestamps are zero; log times are used"
             warnings.append(f"{printable(topic)}: {text}")
-        warnings += log_time_warnings(topic, stream.backward)
+        if stream.backward:
+            text = f"{stream.backward} log times run backward; images are ordered by timestamp"
+            warnings.append(f"{printable(topic)}: {text}")
         if log.is_complete:
             of_color = topic != choice.depth and bool(zero)
             streams[topic] = stream.complete(by_log_time=topic in zero or of_color)
@@ -166,12 +167,6 @@ def _share_known(frames: IndexedFrames, source: PoseSource, *, is_complete: bool
     return looked.window(0, count).notes.poses / count / 100
 
 
-def _last_delay(frames: IndexedFrames) -> int:
-    """Return timestamp minus log time of the last frame [ns]; 0 if there are no frames."""
-    last = frames.num_frames - 1
-    return frames.stamp_ns(last) - frames.log_ns(last) if last >= 0 else 0
-
-
 def _check_stamps(log: IndexedLog, topics: Iterable[str]) -> None:
     """Check that the images of some topics can be distinguished and ordered by timestamps.
 
@@ -200,13 +195,6 @@ def _calibrations(
     return CalibrationWindows(infos, used, log.store, path, changes, by_log_time=by_log_time)
 
 
-def _calibrate(
-    contents: LogContents, choice: Choice, options: LogOptions, is_body: bool
-) -> Calibrated:
-    with _naming_tree(contents):
-        return calibrate(contents, choice, options, is_body=is_body)
-
-
 def _find(
     contents: LogContents,
     choice: Choice,
@@ -225,37 +213,26 @@ def _find(
         T_frame_camera = motion.T if T_frame_camera is None else matmul(T_frame_camera, motion.T)
 
     def on_clock(source: PoseSource) -> PoseSource:
-        moving = source.moving(contents.tree) if source.known else []
-        topics = [(name, "") for name in moving] if source.topic else []
+        if not source.known:
+            return source
+        topics = [(source.topic, "")] if source.topic else []
+        moving = source.moving(contents.tree)
         topics = topics or [(contents.tree.topic(name), name) for name in moving]
-        found = pose_offset(contents, options, choice.depth, choice.color, topics)
-        warnings = (*source.warnings, *filter(None, [found.text]))
-        return source._replace(offset_ns=found.ns, warnings=warnings)
+        offset = pose_offset(contents, options, choice.depth, choice.color, topics)
+        warnings = (*source.warnings, *filter(None, [offset.text]))
+        found = source._replace(offset_ns=offset.ns, warnings=warnings)
+        # If a clock was adjusted during the recording, fewer poses are known with the offset.
+        is_measured = offset.ns and offset.text
+        return source if is_measured and share_known(source) > share_known(found) else found
 
-    with _naming_tree(contents):
-        base = find_base(contents, options, frame)
-        about = choice.depth, frame, base.frame
-        poses = find_poses(contents, options, *about, share_known, on_clock)
+    base = find_base(contents, options, frame)
+    sources = pose_sources(contents, options, choice.depth, frame, base.frame)
+    poses = best_source(sources, share_known, on_clock)
     if T_frame_camera is not None and base.T_base_camera is not None:
         base = base._replace(T_base_camera=matmul(base.T_base_camera, T_frame_camera))
     if calibrated.camera_frame != frame and calibrated.camera_frame not in frames:
         poses = poses._replace(text=poses.text.replace("poses: TF", "poses: turned, TF"))
     return base, poses._replace(T_frame_camera=T_frame_camera)
-
-
-@contextmanager
-def _naming_tree(contents: LogContents) -> Iterator[None]:
-    """Add file and topic to errors of the transform tree, which does not contain them."""
-    try:
-        yield
-    except TransformError as error:
-        if error.path:
-            raise
-        topics = contents.topics.items()
-        kinds = ((name, kind_of(about.channel.schema_name)) for name, about in topics)
-        topic = ", ".join(sorted(name for name, kind in kinds if kind is Kind.TRANSFORM))
-        problem, remedy = error.problem, error.remedy
-        raise TransformError(problem, path=contents.path, topic=topic, remedy=remedy) from error
 
 
 def _check_sampled(log: IndexedLog, error: JaxdetError) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxdet.errors import InputError
-from jaxdet.io.chunks import PAYLOAD_OFFSET, DamageError
+from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import FileState
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
@@ -15,14 +15,7 @@ from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.folders.basic import RATE_HZ
 from jaxdet.io.folders.layouts import read_recording
 from jaxdet.io.folders.messages import TOPICS, encode_recording
-from jaxdet.io.message_file import (
-    POSITION_BITS,
-    MessageFile,
-    MessageRow,
-    indexed_messages,
-    position_of,
-)
-from jaxdet.io.walk import Walk
+from jaxdet.io.message_file import POSITION_BITS, MessageFile, MessageRow, indexed_messages
 
 
 class ImageFolder(MessageFile):
@@ -56,29 +49,10 @@ class ImageFolder(MessageFile):
 
     def read_index(self) -> FileIndex:
         """Build the index of the messages from the names and sizes of the files."""
-        channel, log_ns, size = np.array(self._rows(), np.int64).reshape(-1, 3).T
+        rows = [self.row(number) for number in range(len(self._messages))]
+        channel, log_ns, size = np.array(rows, np.int64).reshape(-1, 3).T
         messages = indexed_messages(np.arange(len(channel)), channel, log_ns, size)
         return file_index(self.infos, messages, FileIntegrity(self.path, by_index=True))
-
-    def rebuild_index(self) -> FileIndex:
-        """Build the index while reading all files; an unreadable image remains a frame.
-
-        Raises:
-            InputError: The folder was changed meanwhile.
-        """
-        walk, rows = Walk(self), self._rows()
-        for number, row in enumerate(rows):
-            position, info = position_of(number), self.infos[row.channel]
-            try:
-                self.chunk(position)
-            except DamageError as error:
-                walk.lose(str(error), 0)
-            walk.add(row.channel, info, row.log_ns, position, row.size + PAYLOAD_OFFSET, 0)
-        return walk.index(declared_messages=len(rows))
-
-    def _rows(self) -> list[MessageRow]:
-        """Return channel, log time and size of the messages, in order of time."""
-        return [self.row(number) for number in range(len(self._messages))]
 
     def close(self) -> None:
         """Do nothing, since image files are opened only while they are read."""

@@ -120,8 +120,9 @@ class Log:
         self.frames = range(self.num_frames)
         begin_ns, before = first_stamp(frames.num_frames, frames.stamp_ns, frames.log_ns)
         if part != (None, None, 1):
-            times = frames.about_ns(), frames.stamp_ns
-            self.frames = find_part(begin_ns, *times, *part, self._path)
+            frames.check_clocks()
+            count, stamp_ns = frames.num_frames, frames.stamp_ns
+            self.frames = find_part(begin_ns, count, stamp_ns, *part, self._path)
         if before and frames.stamp_ns(0):
             text = unset_clock_text(found.choice.depth, before, frames.stamp_ns(0))
             found = found._replace(warnings=(*found.warnings, text))

@@ -5,6 +5,7 @@ from threading import local
 from mcap.opcode import Opcode
 
 from jaxdet.io.chunks import (
+    HEAD_BYTES,
     MAGIC,
     RECORD_HEAD,
     ChunkHead,
@@ -18,7 +19,6 @@ from jaxdet.io.file_index import FileIndex
 from jaxdet.io.mcap_index import read_mcap_index
 from jaxdet.io.mcap_scan import rebuild_mcap_index
 
-_HEAD_BYTES = 128
 _BEGIN_BYTES = 192 << 10
 """Number of bytes of a compressed chunk that contain its first zstd block."""
 _PACKED_BYTES = 16 << 20
@@ -50,7 +50,7 @@ class McapFile(LogFile):
             DamageError: There is no such record.
         """
         start = position - RECORD_HEAD.size
-        known = self.read(start, min(RECORD_HEAD.size + _HEAD_BYTES, self.size - start))
+        known = self.read(start, min(RECORD_HEAD.size + HEAD_BYTES, self.size - start))
         opcode, length = RECORD_HEAD.unpack_from(known)
         if opcode == Opcode.MESSAGE and length <= self.size - position:
             size = RECORD_HEAD.size + length

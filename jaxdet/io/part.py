@@ -3,15 +3,13 @@
 from bisect import bisect_left
 from collections.abc import Callable
 
-import numpy as np
-
 from jaxdet.errors import InputError
 from jaxdet.io.moments import EPOCH, MICROSECOND, parse_moment
 
 
 def find_part(
     begin_ns: int,
-    about_ns: np.ndarray,
+    count: int,
     stamp_ns: Callable[[int], int],
     start: str | None,
     stop: str | None,
@@ -22,8 +20,7 @@ def find_part(
 
     Args:
         begin_ns: Start of the log's time axis [ns], see :func:`jaxdet.io.clocks.first_stamp`.
-        about_ns: Approximate times of the log's frames, ``(F,)`` int64, in order [ns]. Their offset
-            from the timestamps is about constant; they determine where the search starts.
+        count: Number of frames.
         stamp_ns: Function that returns the timestamp of a frame [ns]; timestamps are in order.
         start: Start time, see :func:`jaxdet.io.moments.parse_moment`; None: the start of the log.
         stop: End time, exclusive, in the same forms; None: the end of the log.
@@ -33,14 +30,13 @@ def find_part(
     Raises:
         InputError: No frame is selected.
     """
-    count = len(about_ns)
     if not count:
         return range(0)
     ends = [0, count]
     for side, text in enumerate((start, stop)):
         if text is not None:
             wanted = parse_moment(text, "").stamp_ns(begin_ns)
-            ends[side] = _first_from(wanted, begin_ns, about_ns, stamp_ns)
+            ends[side] = bisect_left(range(count), wanted, key=stamp_ns)
     found = range(-(-ends[0] // every) * every, ends[1], every)
     if not found:
         asked = f"--start {start}" * (start is not None), f"--stop {stop}" * (stop is not None)
@@ -49,22 +45,6 @@ def find_part(
         remedy = f"the log has {count} depth images {_span(begin_ns, stamp_ns(count - 1))}"
         raise InputError(f"no depth image matches {asked}", path=path, remedy=remedy)
     return found
-
-
-def _first_from(
-    wanted: int, begin_ns: int, about_ns: np.ndarray, stamp_ns: Callable[[int], int]
-) -> int:
-    """Return the first frame with a timestamp of ``wanted`` or later, by an exponential search."""
-    count = len(about_ns)
-    guess = int(np.searchsorted(about_ns, wanted - begin_ns + int(about_ns[0])))
-    low = high = min(guess, count - 1)
-    step = 1
-    while low > 0 and stamp_ns(low) >= wanted:
-        low, step = max(0, low - step), 2 * step
-    step = 1
-    while high < count and stamp_ns(high) < wanted:
-        high, step = min(count, high + step), 2 * step
-    return bisect_left(range(count), wanted, low, high, key=stamp_ns)
 
 
 def _span(first_ns: int, last_ns: int) -> str:

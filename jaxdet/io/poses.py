@@ -1,6 +1,6 @@
 """Pose of the camera on the robot and in the world."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -108,23 +108,19 @@ def find_base(contents: LogContents, options: LogOptions, camera_frame: str) -> 
     return Base(None, None, "camera over the floor: not in TF")
 
 
-def find_poses(
+def pose_sources(
     contents: LogContents,
     options: LogOptions,
     depth_topic: str,
     camera_frame: str,
     base_frame: str | None,
-    share_known: Callable[[PoseSource], float],
-    on_clock: Callable[[PoseSource], PoseSource] = lambda source: source,
-) -> PoseSource:
-    """Determine the source of the camera's poses.
+) -> list[PoseSource]:
+    """Return the possible sources of the camera's poses by priority; the last one needs no check.
 
-    In order of priority: the topic of ``--log.odom``, moving transforms up to a world frame, the
-    robot's only Odometry or PoseInFrame topic. The frame of ``--log.world-frame`` is always used,
-    so the robot's base frame yields robot coordinates. Of the frames map and odom, the first with
-    at least half of the poses is used, else the frame with more poses. A pose topic contains poses
-    of the robot's base; if no static transforms connect it to the camera, there are no poses but a
-    warning.
+    In order of priority: the topic of ``--log.odom``, moving transforms up to a world frame (the
+    frame of ``--log.world-frame``, else map or odom), the robot's only Odometry or PoseInFrame
+    topic. A pose topic contains poses of the robot's base; if no static transforms connect it to
+    the camera, there are no poses but a warning.
 
     Args:
         contents: Contents of the log.
@@ -132,8 +128,6 @@ def find_poses(
         depth_topic: Topic of the camera's depth images.
         camera_frame: TF frame of the camera.
         base_frame: TF frame of the robot.
-        share_known: Function that returns the fraction of frames for which a source has the pose.
-        on_clock: Function that adds the clock offset of a source.
 
     Raises:
         TopicError: ``--log.odom`` is not a topic with poses.
@@ -141,56 +135,52 @@ def find_poses(
             transforms form a cycle.
     """
     if options.odom:
-        source = _given_track(contents, options, options.odom, camera_frame, base_frame)
-        return _on_clock(source, share_known, on_clock)
-    if options.world_frame and not (
-        camera_frame and contents.tree.joins(options.world_frame, camera_frame)
-    ):
-        problem = f"no transforms connect {options.world_frame!r} and {camera_frame!r}"
-        raise CalibrationError(problem, path=contents.path, remedy="change --log.world-frame")
+        return [_given_track(contents, options, options.odom, camera_frame, base_frame)]
+    names = [options.world_frame] if options.world_frame else _named(contents, _WORLDS)
+    sources = [
+        PoseSource(f"poses: TF, frame {printable(name)!r}", camera=camera_frame, world=name)
+        for name in names
+        if camera_frame and contents.tree.joins(name, camera_frame)
+    ]
     if options.world_frame:
-        text = f"poses: TF, frame {printable(options.world_frame)!r}"
-        source = PoseSource(text, camera=camera_frame, world=options.world_frame)
-        return _on_clock(source, share_known, on_clock)
-    best, most = None, 0.0
-    for world in _named(contents, _WORLDS):
-        if not camera_frame or world == base_frame or not contents.tree.joins(world, camera_frame):
-            continue
-        text = f"poses: TF, frame {printable(world)!r}"
-        if best:
-            text += f", which has more poses than {printable(best.world)!r}"
-        source = PoseSource(text, camera=camera_frame, world=world)
-        source = _on_clock(source, share_known, on_clock)
-        share = share_known(source)
-        if share > most:
-            best, most = source, share
-        if most >= _ENOUGH:
-            break
-    if best:
-        return best
+        if not sources:
+            problem = f"no transforms connect {options.world_frame!r} and {camera_frame!r}"
+            raise CalibrationError(problem, path=contents.path, remedy="change --log.world-frame")
+        return sources
     topics = _robot_poses(contents, depth_topic)
+    last = PoseSource("poses: none in the log")
     if len(topics) == 1:
-        source = _from_track(contents, topics[0], camera_frame, base_frame)
-        return _on_clock(source, share_known, on_clock)
-    if topics:
+        last = _from_track(contents, topics[0], camera_frame, base_frame)
+    elif topics:
         text = f"several topics have poses ({listed(topics)}); choose one with --log.odom"
-        return PoseSource("poses: none chosen", (text,))
-    return PoseSource("poses: none in the log")
+        last = PoseSource("poses: none chosen", (text,))
+    return [*(source for source in sources if source.world != base_frame), last]
 
 
-def _on_clock(
-    source: PoseSource,
+def best_source(
+    sources: Sequence[PoseSource],
     share_known: Callable[[PoseSource], float],
     on_clock: Callable[[PoseSource], PoseSource],
 ) -> PoseSource:
-    """Return the source with its clock offset.
+    """Return the first source with at least half of the poses, else the one with most of them.
 
-    The offset is ignored if fewer poses are known with it, since then a clock was adjusted during
-    the recording.
+    If none of the others has poses, the last source is used.
+
+    Args:
+        sources: Sources from :func:`pose_sources`.
+        share_known: Function that returns the fraction of frames for which a source has the pose.
+        on_clock: Function that adds the clock offset of a source.
     """
-    found = on_clock(source) if source.known else source
-    measured = found.offset_ns and found.warnings != source.warnings
-    return source if measured and share_known(source) > share_known(found) else found
+    best, most = None, 0.0
+    for source in sources[:-1]:
+        source = on_clock(source)
+        share = share_known(source)
+        if share > most:
+            more = f", which has more poses than {printable(best.world)!r}" if best else ""
+            best, most = source._replace(text=source.text + more), share
+        if most >= _ENOUGH:
+            break
+    return best or on_clock(sources[-1])
 
 
 def _given_track(

@@ -29,9 +29,6 @@ _MAX_OVERLAP_NS = 100_000_000
 """Maximum overlap of the images of two splits, since a recorder has several queues [ns]."""
 _MAX_GAP_NS = 1_000_000_000
 """Maximum pause between the images of two splits [ns], or two image periods if that is longer."""
-_MOST_STEPS = 10
-"""Maximum number of missing splits for which a longer pause is accepted; larger numbers may be
-times."""
 METADATA = "metadata.yaml"
 """File in which rosbag2 lists the files of a recording."""
 _LISTED = re.compile(r"^[ \t]*relative_file_paths:[ \t]*\n((?:[ \t]*-[^\n]*\n?)+)", re.MULTILINE)
@@ -93,19 +90,6 @@ def _signature_of(file: LogFile, entries: FileIndex) -> Signature:
     )
 
 
-def difference(first: Signature | None, second: Signature | None, steps: int) -> str:
-    """Return why two files can't be of the same recording; empty if they can.
-
-    Args:
-        first: Signature of the earlier file.
-        second: Signature of the later file.
-        steps: Difference of their numbers.
-    """
-    if first is None or second is None:
-        return ""
-    return _other_kind(first, second) or _overlap(first, second) or gap(first, second, steps)
-
-
 def _other_kind(first: Signature, second: Signature) -> str:
     for topic in sorted(first.schemas.keys() & second.schemas.keys()):
         if first.schemas[topic] != second.schemas[topic]:
@@ -120,24 +104,21 @@ def _other_kind(first: Signature, second: Signature) -> str:
 
 
 def _overlap(first: Signature, second: Signature) -> str:
-    spans = first.span_ns, second.span_ns
-    if spans[0] and spans[1] and spans[1][0] - spans[0][1] < -_MAX_OVERLAP_NS:
+    assert first.span_ns and second.span_ns
+    if second.span_ns[0] - first.span_ns[1] < -_MAX_OVERLAP_NS:
         return "their images overlap in time or are in the wrong order"
     return ""
 
 
-def gap(first: Signature | None, second: Signature | None, steps: int) -> str:
-    """Return why the pause between two files is too long for one recording; empty if it is not."""
-    if first and second and first.span_ns and second.span_ns:
-        pause, steps = second.span_ns[0] - first.span_ns[1], min(steps, _MOST_STEPS)
-        longest = max(last - begin for begin, last in (first.span_ns, second.span_ns))
-        short = max(_MAX_GAP_NS, 2 * max(first.period_ns, second.period_ns))
-        if pause > steps * short + 4 * (steps - 1) * longest:
-            return f"they are {pause / 1e9:.1f} s apart"
+def _gap(first: Signature, second: Signature) -> str:
+    assert first.span_ns and second.span_ns
+    pause_ns = second.span_ns[0] - first.span_ns[1]
+    if pause_ns > max(_MAX_GAP_NS, 2 * max(first.period_ns, second.period_ns)):
+        return f"they are {pause_ns / 1e9:.1f} s apart"
     return ""
 
 
-def joined(first: Signature | None, second: Signature | None) -> Signature | None:
+def _joined(first: Signature | None, second: Signature | None) -> Signature | None:
     """Return the signature of a recording after adding the file ``second``."""
     if first is None or second is None:
         return second or first
@@ -180,7 +161,7 @@ def recordings(files: Sequence[tuple[int, Path]]) -> list[Recording]:
             for about in notes[-2:]:
                 about.append(f"{names} are different recordings: {why}")
         found[-1].append(path)
-        before = number, joined(None if why else before[1], now)
+        before = number, _joined(None if why else before[1], now)
     for paths, about in zip(found, notes, strict=True):
         if len(paths) > 1:
             text = f"joined {len(paths)} files, {paths[0].name} to {paths[-1].name}"
@@ -191,13 +172,37 @@ def recordings(files: Sequence[tuple[int, Path]]) -> list[Recording]:
     ]
 
 
+def recording_around(files: Sequence[tuple[int, Path]], place: int) -> list[Path]:
+    """Return the recording that contains the file at ``place``, looking only at its neighbours.
+
+    Args:
+        files: Files of one name and folder with their numbers, in order.
+        place: Index of the file.
+    """
+    number, path = files[place]
+    names = listed_files(path.parent)
+    if path.name in names:
+        return [path for _, path in files if path.name in names]
+    found, own = [path], signature(path, scan=True)
+    for is_later, others in ((False, files[:place][::-1]), (True, files[place + 1 :])):
+        near, known = number, own
+        for other, path in others:
+            there = signature(path, scan=True)
+            pair = (near, known, other, there) if is_later else (other, there, near, known)
+            if _why_apart(*pair):
+                break
+            found.insert(len(found) if is_later else 0, path)
+            near, known = other, _joined(known, there)
+    return found
+
+
 def _why_apart(first: int, before: Signature | None, second: int, now: Signature | None) -> str:
     """Return why a file is not the continuation of the recording before it; empty if it is."""
     if second != first + 1:
         return "their numbers are not consecutive"
     if before is None or now is None or not (before.span_ns and now.span_ns):
         return "their indexes don't have the times of the images"
-    return difference(before, now, 1)
+    return _other_kind(before, now) or _overlap(before, now) or _gap(before, now)
 
 
 def listed_files(folder: Path) -> frozenset[str]:

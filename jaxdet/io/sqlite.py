@@ -137,8 +137,9 @@ class SqliteFile(MessageFile):
             except DamageError as error:
                 walk.lose(str(error), size or 0)
                 continue
-            walk.add(channel, infos[channel], log_ns, position, len(data) + PAYLOAD_OFFSET, 0)
+            walk.add(channel, log_ns, position, len(data) + PAYLOAD_OFFSET, 0)
         return walk.index(
+            infos,
             declared_messages=_declared(self),
             has_end=self.declared_bytes <= self.size,
             missing=dict(missing),

@@ -62,10 +62,14 @@ class ChunkStore:
         """Enlarge the cache to at least ``nbytes``, up to its limit."""
         self.cache_bytes = min(max(self.cache_bytes, nbytes), self._most_bytes)
 
-    def close(self) -> None:
-        """Stop the threads and close the files."""
+    def stop(self) -> None:
+        """Stop the threads."""
         if self._pool:
             self._pool.shutdown(cancel_futures=True)
+
+    def close(self) -> None:
+        """Stop the threads and close the files."""
+        self.stop()
         for file in self.files:
             file.close()
 

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxdet.errors import printable
 from jaxdet.io.file_index import IndexedMessages, Place
 from jaxdet.io.notes import Notes
 
@@ -103,9 +102,3 @@ def apart(
     by_stamp = np.abs(color.stamps_ns - color_offset_ns - depth.stamps_ns)[there]
     by_log_time = np.abs(color.log_ns - depth.log_ns)[there]
     return by_stamp, by_log_time, int((~there).sum())
-
-
-def log_time_warnings(topic: str, backward: int) -> list[str]:
-    """Return a warning about messages that are after a message with a later log time."""
-    text = f"{printable(topic)}: {backward} log times run backward; images are ordered by timestamp"
-    return [text] if backward else []

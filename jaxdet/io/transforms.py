@@ -34,11 +34,15 @@ class TransformTree:
     A static transform takes precedence over moving transforms of the same frame. Contradictory
     transforms, and those that are not rigid motions, are ignored and reported in ``warnings``.
 
+    Args:
+        path: Path of the log, for errors.
+
     Attributes:
         ignored: Number of invalid transforms by frame.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, path: str = "") -> None:
+        self.path = path
         self._edges: dict[str, _Edge] = {}
         self._warned: set[str] = set()
         self.warnings: list[str] = []
@@ -68,7 +72,7 @@ class TransformTree:
             others: Trees of other namespaces. Those that contradict the frames found so far belong
                 to another robot and are skipped.
         """
-        found = cls()
+        found = cls(next((tree.path for tree in (*trees, *others)), ""))
         for tree in trees:
             found._join(tree)
         for tree in others:
@@ -209,7 +213,8 @@ class TransformTree:
             frame = self._edges[frame].parent
             if frame in known:
                 problem = f"the transforms form a cycle through frame {frame!r}"
-                raise TransformError(problem, remedy=_REMEDY)
+                topic = ", ".join(sorted(self._topics))
+                raise TransformError(problem, path=self.path, topic=topic, remedy=_REMEDY)
             path.append(frame)
             known.add(frame)
         return path
@@ -247,7 +252,7 @@ class TransformTree:
 
     def with_samples(self, samples: dict[str, MotionSamples]) -> "TransformTree":
         """Return a copy with other samples of the moving frames."""
-        tree = TransformTree()
+        tree = TransformTree(self.path)
         for frame, edge in self._edges.items():
             tree._edges[frame] = copy = _Edge(edge.parent, edge.topic)
             copy.fixed, copy.samples = edge.fixed, samples.get(frame, copy.samples)

@@ -263,21 +263,11 @@ class IndexedFrames(NamedTuple):
         """Number of depth images."""
         return len(self.depth)
 
-    def about_ns(self) -> np.ndarray:
-        """Approximate times of the frames in order, ``(F,)`` int64 [ns].
-
-        Their offset from the timestamps is about constant.
-
-        Raises:
-            RescanError: Timestamps of some images are far from their order.
-            DamageError: The file contradicts its index.
-        """
+    def check_clocks(self) -> None:
+        """Check that timestamps follow log times, see :meth:`StreamWindows.check_clock`."""
         for stream in (self.depth, self.color):
             if stream is not None:
                 stream.check_clock()
-        if self.depth.is_complete:
-            return self.depth.stamp[self.depth.ranked(0, len(self.depth))]
-        return self.depth.messages.log_ns
 
     def is_plain(self, number: int) -> bool:
         """Return whether a frame's chunk is uncompressed, so that messages can be read separately.

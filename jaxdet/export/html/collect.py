@@ -127,7 +127,7 @@ class Timeline:
 
 
 def _best(index: np.ndarray, cost: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return the row of least cost in each bin, the first in a tie; ``first``: first row per bin."""
+    """Return the row of least cost in each bin, the first if tied; ``first``: first row per bin."""
     order = np.lexsort((np.arange(len(cost)), cost, index))
     return order[first]
 
