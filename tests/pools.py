@@ -21,7 +21,7 @@ def same_results(one: Path, other: Path) -> None:
             assert (one / name).read_bytes() == (other / name).read_bytes(), name
 
 
-def on_this_machine(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+def on_this_machine(monkeypatch: pytest.MonkeyPatch, gpus: int = 1) -> list[int]:
     """Use the code for GPUs on the CPU; return a list to which each copy appends its size."""
     copies = []
 
@@ -43,5 +43,5 @@ def on_this_machine(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     lock = SimpleNamespace(unlock=lambda: None)
     monkeypatch.setattr(_upload, "PageLock", lambda memory, device, block: lock)
     monkeypatch.setattr(_upload, "wait_asleep", lambda device: None)
-    monkeypatch.setattr(pool, "gpus", lambda: (jax.devices("cpu")[0],))
+    monkeypatch.setattr(pool, "gpus", lambda: (jax.devices("cpu")[0],) * gpus)
     return copies

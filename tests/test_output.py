@@ -331,6 +331,15 @@ def test_a_runner_keeps_its_processes_between_runs(logs: Path, tmp_path: Path) -
     assert not first.failed and not second.failed and second.kept == {"a"}
 
 
+def test_options_of_a_runner_are_the_defaults_of_its_runs(logs: Path, tmp_path: Path) -> None:
+    with engine.Runner(backend="reference", pictures=0) as one:
+        assert not one.run(logs / "a.mcap", tmp_path / "none").logs[0].pictures
+        assert len(one.run(logs / "a.mcap", tmp_path / "two", pictures=2).logs[0].pictures) == 2
+        with pytest.raises(ConfigError, match="computes with reference, not jax"):
+            one.run(logs / "a.mcap", tmp_path / "jax", backend="jax")
+    assert not (tmp_path / "jax").exists()
+
+
 @pytest.mark.parametrize("exchanged", [True, False])
 def test_a_folder_is_replaced_atomically(
     logs: Path, done: Path, copy: Path, monkeypatch: pytest.MonkeyPatch, exchanged: bool

@@ -346,6 +346,7 @@ def test_a_gpu_that_computes_for_workers_returns_equal_bytes(
         copies = on_this_machine(monkeypatch)
         options = {"workers": workers, "batch_size": size, "config": config}
         summary = run(sim_logs, tmp_path / "b", observers=observers, **options)
+        on_this_machine(monkeypatch, gpus=2)
         few = run(sim_logs, tmp_path / "c", **options)
     assert copies and not summary.failed and not few.failed
     assert summary.workers == workers and summary.batch_size == size

@@ -114,7 +114,7 @@ class SharedDevice:
     """The GPUs of the main process, which compute for this worker.
 
     Args:
-        served: What they compute, see :meth:`jaxdet.engine.pool.Pool.serve`.
+        served: Format of the frames, see :meth:`jaxdet.engine.pool.Pool.serve`.
         pipe: Connection of this worker to :class:`jaxdet.engine.gpu_threads.GpuThreads`.
     """
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -12,6 +13,7 @@ from jaxdet.engine.memory import Memory
 from jaxdet.engine.placement import Machine, Share
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.pool import Pool
+from jaxdet.engine.progress import Report
 from jaxdet.engine.settings import RunSettings
 from jaxdet.engine.slots import Served
 from jaxdet.engine.startup import start_up
@@ -42,22 +44,34 @@ class Executor(Protocol):
         ...
 
 
-ChooseExecutor = Callable[["Log", Memory], Executor]
-"""Function that returns the executor of an open log."""
+@dataclass(frozen=True)
+class Host:
+    """The process that works on a log, from its files to its results."""
+
+    memory: Memory
+    """Memory of the run; if chunks are large, fewer processes share the log."""
+    executor: Callable[["Log", Memory], Executor]
+    """Returns the executor of an open log."""
+    report: Report = lambda *_: None
+    """Called with the progress of the log."""
+    log_per_worker: bool = False
+    """Whether each process of the run works on a log of its own: then errors are raised, also that
+    of a log that doesn't fit into this process's share of the memory."""
 
 
-def choose_executor(machine: Machine, log: "Log", memory: Memory) -> Executor:
-    """Return the executor of a log that the first process has opened.
+def first_process(machine: Machine, report: Report = lambda *_: None) -> Host:
+    """Return the first process of a run, which works on a log itself or lets all workers do it."""
 
-    The arguments are those of :meth:`jaxdet.engine.placement.Machine.share_of_all`.
-    """
-    settings, share = machine.settings, machine.share_of_all(log, memory)
-    if not share.here:
-        return InPool(settings, log, share, machine.pool)
-    if settings.options.backend == "jax":
-        start_up()
-    device = OwnDevice(settings.config, settings.options.backend, ahead=1)
-    return InProcess(settings, log, share, device)
+    def executor(log: "Log", memory: Memory) -> Executor:
+        settings, share = machine.settings, machine.share_of_all(log, memory)
+        if not share.here:
+            return InPool(settings, log, share, machine.pool)
+        if settings.options.backend == "jax":
+            start_up()
+        device = OwnDevice(settings.config, settings.options.backend, ahead=1)
+        return InProcess(settings, log, share, device)
+
+    return Host(machine.memory, executor, report)
 
 
 class InProcess:
@@ -162,7 +176,7 @@ class InPool:
         return UnitJob(self.log, plan, self._serve())
 
     def _serve(self) -> Served | None:
-        """Let GPUs compute for the workers; return what they compute, or None without GPUs."""
+        """Let GPUs compute for workers; return the format of the frames, or None without GPUs."""
         if not self.pool.devices:
             return None
         settings = self.settings
@@ -192,7 +206,7 @@ class UnitJob(NamedTuple):
     """Open log; it is sent with its index but without the content of its files."""
     plan: LogPlan
     served: Served | None
-    """What GPUs compute; None if workers compute."""
+    """Format of the frames that GPUs compute; None if workers compute."""
 
     @contextmanager
     def open(self, process: WorkerProcess) -> Iterator[Callable[[Unit], UnitResult]]:

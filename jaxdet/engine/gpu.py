@@ -12,8 +12,8 @@ from jaxdet.engine.slots import Piece, Reply, Served, SlotMemory
 from jaxdet.engine.startup import computing
 from jaxdet.floor.plane import join_planes, unknown_plane
 from jaxdet.pipeline import detect
-from jaxdet.results.rows import map_leaves, row_inputs
-from jaxdet.types import Detections, Frames, GroundPlane
+from jaxdet.results.rows import RowInputs, map_leaves, row_inputs
+from jaxdet.types import Frames, GroundPlane
 
 
 def result_types(served: Served) -> Any:
@@ -108,7 +108,7 @@ class Gpu:
         plane = join_planes([*(piece.plane for piece in batch.pieces), missing])
         with computing():
             found = detect(_frames(images, served, plane), served.config)
-        batch.packed = _pack()(_without_prior(found))
+        batch.packed = _pack()(row_inputs(found))
         batch.ready = self._watch.submit(_time_when_ready, batch.packed)
 
     def finish(self, batch: Batch) -> list[Reply]:
@@ -140,14 +140,8 @@ def _pack() -> Any:
     import jax.numpy as jnp
 
     @jax.jit
-    def pack(found: Detections) -> Any:
-        arrays = jax.tree.leaves(row_inputs(found))
-        rows = [a.reshape(len(a), -1).astype(jnp.int32) for a in arrays]
+    def pack(inputs: RowInputs) -> Any:
+        rows = [a.reshape(len(a), -1).astype(jnp.int32) for a in jax.tree.leaves(inputs)]
         return jnp.concatenate(rows, axis=1)
 
     return pack
-
-
-def _without_prior(found: Detections) -> Any:
-    """Return detections without the prior, which stays on the host."""
-    return found if found.scene is None else found._replace(scene=found.scene._replace(prior=None))

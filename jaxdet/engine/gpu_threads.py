@@ -40,7 +40,7 @@ BATCH_PIECES = 16
 def served_for(
     log: "Log", config: Config, batch_size: int | None, piece_frames: int, workers: int
 ) -> Served:
-    """Return what GPUs compute for a log, with the sizes of slots and batches.
+    """Return the format of the frames of a log that GPUs compute.
 
     Args:
         log: Open log.
@@ -68,7 +68,7 @@ class GpuThreads:
     frame of 640x480).
 
     Args:
-        wanted: What they compute, see :func:`served_for`.
+        wanted: Format of the frames, see :func:`served_for`.
         pipes: Connections to the workers.
         devices: GPUs.
 

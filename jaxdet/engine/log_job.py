@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from jaxdet.engine.executors import InProcess
+from jaxdet.engine.executors import Host, InProcess
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.placement import OtherCameraError, share_of_worker
-from jaxdet.engine.process_log import no_report, process_log
+from jaxdet.engine.process_log import process_log
 from jaxdet.engine.settings import RunSettings
 from jaxdet.engine.worker import WorkerProcess
 from jaxdet.results.summary import LogSummary
@@ -40,7 +40,7 @@ class LogJob(NamedTuple):
     devices: int
     """Number of GPUs."""
     served: "Served | None"
-    """What GPUs compute; None if workers compute."""
+    """Format of the frames that GPUs compute; None if workers compute."""
 
     @contextmanager
     def open(self, process: WorkerProcess) -> Iterator[Callable[[LogTask], Any]]:
@@ -57,14 +57,14 @@ class LogJob(NamedTuple):
             the first process has to process the log.
         """
         try:
-            given = self.memory, partial(self.choose, process), no_report
-            return process_log(self.settings, *task, *given, log_per_worker=True)
+            host = Host(self.memory, partial(self.executor, process), log_per_worker=True)
+            return process_log(self.settings, *task, host)
         except OtherCameraError as error:
             return error
         except Exception:  # the first process tries the log again, and reports the error
             return None
 
-    def choose(self, process: WorkerProcess, log: "Log", memory: Memory) -> InProcess:
+    def executor(self, process: WorkerProcess, log: "Log", memory: Memory) -> InProcess:
         """Return the executor of a worker, with its share of the memory."""
         share = share_of_worker(self.settings, log, memory, self.served)
         device = process.device(self.served, self.settings)

@@ -136,7 +136,7 @@ def share_of_worker(
         settings: Settings of the run.
         log: Open log.
         memory: Memory of the run.
-        served: What GPUs compute; None if workers compute.
+        served: Format of the frames that GPUs compute; None if workers compute.
 
     Raises:
         MemoryError: The log needs more memory than this worker's share.

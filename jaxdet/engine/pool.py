@@ -168,7 +168,7 @@ class Pool:
         The arguments are those of :func:`jaxdet.engine.gpu_threads.served_for`.
 
         Returns:
-            What GPUs compute, see :attr:`serving`.
+            Format of the frames that GPUs compute, see :attr:`serving`.
 
         Raises:
             WorkerError: There is too little memory.
@@ -182,7 +182,7 @@ class Pool:
 
     @property
     def serving(self) -> Served | None:
-        """What GPUs compute for workers, and the memory for it; None before :meth:`serve`."""
+        """Format and memory of the frames that GPUs compute; None before :meth:`serve`."""
         return self._gpus and self._gpus.memory.served
 
     def _end_gpus(self) -> None:

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxdet.engine.device import out_of_memory
-from jaxdet.engine.executors import ChooseExecutor, Executor
+from jaxdet.engine.executors import Executor, Host
 from jaxdet.engine.floors import Planes, evenly
-from jaxdet.engine.memory import Memory
 from jaxdet.engine.own_body import own_body_note
 from jaxdet.engine.plan import LogPlan, UnitSizes
-from jaxdet.engine.progress import Clock, Report
+from jaxdet.engine.progress import Clock
 from jaxdet.engine.settings import RunSettings
 from jaxdet.engine.unit_result import Assembly
 from jaxdet.errors import (
@@ -58,11 +57,7 @@ def process_log(
     settings: RunSettings,
     files: "LogFiles",
     folder: Path,
-    memory: Memory,
-    choose: ChooseExecutor,
-    report: Report,
-    *,
-    log_per_worker: bool = False,
+    host: Host,
 ) -> list[LogSummary]:
     """Write the results of a log into a new folder.
 
@@ -73,11 +68,7 @@ def process_log(
         settings: Settings of the run.
         files: The log.
         folder: New folder; temporary files are in ``FOLDER~CAMERA.rows`` next to it.
-        memory: Memory of the run; if chunks are large, fewer processes share the log.
-        choose: Returns the executor of the log.
-        report: Called with the progress.
-        log_per_worker: Whether each process of the run works on a log of its own: then errors are
-            raised, also that of a log that doesn't fit into this process's share of the memory.
+        host: The current process.
 
     Returns:
         Summaries of its cameras.
@@ -88,7 +79,7 @@ def process_log(
     with writing(folder):
         folder.mkdir()
     inputs = [fingerprint(path) for path in files.paths]
-    given = settings, files, folder, memory, choose, report, log_per_worker, inputs
+    given = settings, files, folder, host, inputs
     with ExitStack() as stack:
 
         def run(options: "LogOptions", camera: str = "") -> CameraRun:
@@ -168,10 +159,7 @@ class CameraRun:
     settings: RunSettings
     files: "LogFiles"
     folder: Path
-    memory: Memory
-    choose: ChooseExecutor
-    report: Report
-    log_per_worker: bool
+    host: Host
     inputs: Inputs
     """Fingerprints of the log's files."""
     camera: str = ""
@@ -183,6 +171,7 @@ class CameraRun:
         self.part = camera_name(self.camera) if self.camera else ""
         """Part of the names of its files if the log has several cameras."""
         self.scratch = self.folder.with_name(f"{self.folder.name}~{self.part}.rows")
+        self.memory = self.host.memory
         self._begin()
 
     def _begin(self) -> None:
@@ -205,7 +194,7 @@ class CameraRun:
         except (OutputError, CamerasError, WorkerStartError):
             raise
         except Exception as error:
-            if self.log_per_worker:
+            if self.host.log_per_worker:
                 raise
             if out_of_memory(error):
                 remedy = "give a smaller --batch-size or --memory, or end other programs"
@@ -240,7 +229,7 @@ class CameraRun:
                     raise
                 options = replace(options, scan=True)
             except ChunkMemoryError:
-                fewer = None if self.log_per_worker else self.memory.with_fewer_workers()
+                fewer = None if self.host.log_per_worker else self.memory.with_fewer_workers()
                 if fewer is None:
                     raise
                 self.memory = fewer
@@ -249,7 +238,7 @@ class CameraRun:
 
     def _open_and_run(self, options: "LogOptions") -> None:
         camera = f", {self.camera}" if self.camera else ""
-        self.report(self.about, f"{self.files.name}{camera}", 0, "opening")
+        self.host.report(self.about, f"{self.files.name}{camera}", 0, "opening")
         with open_log(self.files, options, self.memory.reading) as log:
             self._check_unchanged()  # later changes are noticed by the open log
             self._run(log)
@@ -278,9 +267,9 @@ class CameraRun:
         about.description, about.calibration = log.description, log.calibration
         about.warnings += log.description.warnings
         about.notes += log.description.notes
-        executor = self.choose(log, self.memory)
+        executor = self.host.executor(log, self.memory)
         about.workers, about.devices = executor.share.workers, executor.devices
-        self.report(about, log.label, len(log.frames), "looking for the floor")
+        self.host.report(about, log.label, len(log.frames), "looking for the floor")
         planes = executor.find_planes()
         self.batch = executor.share.batch
         plan = self._plan(log, min(executor.share.read, max(1, len(log.frames))), planes)
@@ -304,12 +293,12 @@ class CameraRun:
     def _work(self, log: "Log", plan: LogPlan, executor: Executor) -> None:
         about, clock = self.about, Clock(self.about, executor.share.workers)
         count = len(log.frames)
-        self.report(about, log.label, count, "starting")
+        self.host.report(about, log.label, count, "starting")
         with closing(executor.work(plan)) as parts:
             for unit, part in parts:
                 self.assembly.add(unit, part)
                 clock.tick()
-                self.report(about, log.label, count, "")
+                self.host.report(about, log.label, count, "")
         about.seconds = clock.seconds
 
     def _plan(self, log: "Log", batch: int, planes: Planes) -> LogPlan:
@@ -335,14 +324,14 @@ class CameraRun:
     def _write_map(self, occupancy: OccupancyMap, log: "Log") -> None:
         """Write the map, or record why the log has no map."""
         about, size = self.about, _CELL_BYTES * occupancy.cells
-        room = self.memory.room // (self.memory.workers if self.log_per_worker else 1)
+        room = self.memory.room // (self.memory.workers if self.host.log_per_worker else 1)
         if not any(path.size for path in occupancy.path):
             about.notes.append("no map: no frame has a pose")
             return
         if occupancy.skipped:
             about.warnings.append(f"{occupancy.skipped} outlines or views have no place on the map")
         if size > room and occupancy.cells <= MAX_CELLS:
-            if self.log_per_worker:
+            if self.host.log_per_worker:
                 raise MemoryError("not enough for as many maps at a time")
             about.warnings.append(f"no map: it takes {size_text(size)}; give --memory more")
             return
@@ -374,7 +363,3 @@ def _unit_sizes(frames: int, batch: int, workers: int, backend: BackendName) -> 
     batches = max(1, min(most, frames // (4 * workers)) // batch)
     end_frames = workers * batches * batch if workers > 1 else 0
     return UnitSizes(batches * batch, end_frames, max(1, batches // 4) * batch)
-
-
-def no_report(*_: object) -> None:
-    """Ignore the progress of a log."""

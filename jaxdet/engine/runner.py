@@ -3,7 +3,6 @@
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -11,11 +10,11 @@ from typing import Any
 
 from jaxdet.config import Config
 from jaxdet.config_file import find_config
-from jaxdet.engine.executors import choose_executor
+from jaxdet.engine.executors import first_process
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.placement import Machine
 from jaxdet.engine.pool import Pool
-from jaxdet.engine.process_log import no_report, process_log
+from jaxdet.engine.process_log import process_log
 from jaxdet.engine.progress import ProgressCallback
 from jaxdet.engine.scheduler import check_outside, make_summary, run_logs
 from jaxdet.engine.settings import Observer, RunSettings, make_settings
@@ -149,8 +148,7 @@ class Runner:
         machine = Machine(settings, self._pool)
         try:
             with stops_raised():
-                given = machine.memory, partial(choose_executor, machine), no_report
-                logs = process_log(settings, files, folder, *given)
+                logs = process_log(settings, files, folder, first_process(machine))
         except BaseException:
             self.close()
             raise

@@ -5,11 +5,10 @@ import os
 import signal
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxdet.engine.executors import choose_executor
+from jaxdet.engine.executors import first_process
 from jaxdet.engine.log_job import LogJob, LogTask
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.output import OutputFolder
@@ -155,8 +154,7 @@ class Scheduler:
         """Process a log in this process, or divide it among all workers."""
         staged = self.output.staged(log.name)
         remove(staged)  # left by a worker that was lost
-        given = self.machine.memory, partial(choose_executor, self.machine), self._report
-        done = process_log(self.settings, log, staged, *given)
+        done = process_log(self.settings, log, staged, first_process(self.machine, self._report))
         if any(about.error for about in done):
             self._check_there(log)
         self._take(log, done)

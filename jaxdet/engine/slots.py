@@ -63,9 +63,9 @@ class Slot(NamedTuple):
 
 
 class Served(NamedTuple):
-    """Frames that GPUs compute for workers, and the memory that holds them; it is sent to workers.
+    """Format of the frames that GPUs compute for workers, and of the memory that holds them.
 
-    Logs with equal fields up to ``config`` can be computed together.
+    It is sent to workers. Logs with equal fields up to ``config`` can be computed together.
     """
 
     frames: int

@@ -234,7 +234,7 @@ class WorkerProcess:
         """Return the device that computes.
 
         Args:
-            served: What GPUs compute; None if this process computes itself.
+            served: Format of the frames that GPUs compute; None if this process computes itself.
             settings: Settings of the run.
         """
         if served is None:
