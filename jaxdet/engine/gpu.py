@@ -12,8 +12,8 @@ from jaxdet.engine.slots import Piece, Reply, Served, SlotMemory
 from jaxdet.engine.startup import computing
 from jaxdet.floor.plane import join_planes, unknown_plane
 from jaxdet.pipeline import detect
-from jaxdet.results.rows import RowInputs, map_leaves, row_inputs
-from jaxdet.types import Frames, GroundPlane
+from jaxdet.results.rows import map_leaves, row_inputs
+from jaxdet.types import Detections, Frames, GroundPlane
 
 
 def result_types(served: Served) -> Any:
@@ -140,7 +140,7 @@ def _pack() -> Any:
     import jax.numpy as jnp
 
     @jax.jit
-    def pack(inputs: RowInputs) -> Any:
+    def pack(inputs: Detections) -> Any:
         rows = [a.reshape(len(a), -1).astype(jnp.int32) for a in jax.tree.leaves(inputs)]
         return jnp.concatenate(rows, axis=1)
 

@@ -240,8 +240,8 @@ def run(
         for array in map(np.ascontiguousarray, given)
     ]
     arrays += [wp.zeros(shape, dtype=INT32, device=device) for shape in shapes]
-    is_cpu = arrays[0].device.is_cpu
-    scratch = None if is_cpu else wp.empty((batch, static.own_words), dtype=INT32, device=device)
+    size = batch, static.own_words
+    scratch = None if wp.get_device(device).is_cpu else wp.empty(size, dtype=INT32, device=device)
     launch(arrays, scratch, 0, steps, static)
     return Rows(*(array.numpy() for array in arrays[3:]))
 
