@@ -111,7 +111,7 @@ def test_rays_beyond_the_fold_of_a_lens_are_not_projected():
     [
         (
             D435_COLOR._replace(distortion=Distortion.PLUMB_BOB, coefficients=(9.0,) * 9),
-            "at most 8",
+            "maximum of 8",
         ),
         (
             D435_COLOR._replace(distortion=Distortion.PLUMB_BOB, coefficients=(-5.0, 0, 0, 0, 0)),

@@ -238,19 +238,23 @@ def test_shape_errors_match_a_hand_calculation():
     """Object 1 is the square [0, 1] x [1, 2], detected as the rectangle [0, 0.8] x [1, 1.5]."""
     low = np.array([[[0, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
     high = np.array([[[1, 1], [np.nan, np.nan], [np.nan, np.nan], [9, 9]]])
-    outline = np.full((1, 4, 16, 2), np.nan)
-    outline[0, 0, :4] = box(0, 1, 1, 2)
+    footprint = np.full((1, 4, 16, 2), np.nan)
+    footprint[0, 0, :4] = box(0, 1, 1, 2)
     where = truth(
         ground_min=low,
         ground_max=high,
-        footprint=outline,
+        footprint=footprint,
         visible_pixels=np.array([[500, 0, 0, 240]]),
         nearest_forward_m=np.array([[1.0, np.nan, np.nan, 8.1]]),
         nearest_floor_m=np.array([[1.1, np.nan, np.nan, 8.1]]),
     )
     a, b = np.zeros((1, 4, 2), int), np.zeros((1, 4, 2), int)
     a[0, 0], b[0, 0] = (0, 1000), (800, 1000)
-    found = detections(on(1, 0), [1000], a=a, b=b, has_vertex=np.zeros((1, 4), bool))
+    outline = {"a": a, "b": b, "has_vertex": np.zeros((1, 4), bool), "xyz_min": np.zeros((1, 4, 3))}
+    outline |= {"direction": np.zeros((1, 4, 2)), "span": np.zeros((1, 4, 4))}
+    # A is the nearest point.
+    outline["nearest"] = np.stack(np.divmod((a**2).sum(-1), 1 << 18), axis=-1)
+    found = detections(on(1, 0), [1000], **outline)
     config = EvalConfig(
         footprint=FootprintConfig(extension_m=0.5, margin_per_m2=0.0),
         coverage_margin_m=0.005,
@@ -261,13 +265,12 @@ def test_shape_errors_match_a_hand_calculation():
     case = got.cases[0]
     assert case.width_error_m == pytest.approx(-0.2) and case.position_error_m == 0
     assert case.iou == pytest.approx(0.4)
-    assert case.nearest_error_m == pytest.approx(-0.1)  # error of A, the nearest of A, B and C
+    assert case.nearest_error_m == pytest.approx(-0.1)  # error of A
     short = EvalConfig(footprint=config.footprint, coverage_range_m=1.2)
     assert evaluate(found, where, config=short).near_points == round(math.sqrt(0.44) * 100) + 1
     hidden = where._replace(nearest_forward_m=np.array([[1.1, np.nan, np.nan, 8.1]]))
     assert evaluate(found, hidden, config=config).near_points == 0
-    a, b, vertex = a[:, 1:], b[:, 1:], np.zeros((1, 3), bool)
-    missed = detections([(0, 39, -1)], [], a=a, b=b, has_vertex=vertex)
+    missed = detections([(0, 39, -1)], [], **{name: part[:, 1:] for name, part in outline.items()})
     got = evaluate(missed, where, config=config)
     assert (got.near_points, got.near_asked, got.near_safe) == (0, 101, 0)
     assert score([got]).safe_coverage == 0 and math.isnan(score([got]).coverage)

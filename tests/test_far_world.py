@@ -69,7 +69,7 @@ def test_exports_draw_the_same_shapes(drives: tuple[Path, Path], tmp_path: Path)
         ways = []
         for (_, scene), frame in zip(topics["/jaxdet/obstacles"], frames, strict=True):
             moving = [track for track in frame.tracks if track.moving]
-            found = [e.lines[0] for e in scene.entities if e.id.startswith("way")]
+            found = [e.lines[0] for e in scene.entities if e.id.startswith("trajectory")]
             for line, track in zip(found, moving, strict=True):
                 place = np.array([line.pose.position.x, line.pose.position.y])
                 shape = np.array([[p.x, p.y] for p in line.points], np.float32)

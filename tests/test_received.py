@@ -56,6 +56,16 @@ def test_values_that_no_run_writes_are_errors_of_one_line(
     assert says in error and "jaxdet itself" not in error and not page.exists()
 
 
+def test_a_table_without_a_column_is_an_error_of_one_line(tracked, tmp_path, capsys):
+    results = tmp_path / "results"
+    shutil.copytree(tracked, results)
+    table = results / "a/track_links.parquet"
+    pq.write_table(pq.read_table(table).drop_columns(["frame"]), table)
+    assert main(["export", str(results), "--to", "nav2", "--output", str(tmp_path / "map")]) == 1
+    error = capsys.readouterr().err
+    assert "column frame is missing" in error and "jaxdet itself" not in error
+
+
 @pytest.mark.parametrize("column", ["path", "speed_mps"])
 @pytest.mark.parametrize("change", [lambda values: values[:-1], lambda values: []])
 def test_paths_must_have_as_many_points_as_speeds(tracked, tmp_path, capsys, column, change):

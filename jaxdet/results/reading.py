@@ -474,7 +474,7 @@ def open_table(path: Path) -> pq.ParquetFile:
         raise InputError(problem, path=str(path), remedy="run jaxdet run again")
     own = {field.name: field for field in table.schema_arrow}
     for field in TABLES[path.name]:
-        if own.get(field.name) != field:
+        if field.name not in own or own[field.name] != field:
             problem = f"column {field.name} is missing, or not as jaxdet writes it"
             again = _TRACK_AGAIN if path.name in (TRACKS, LINKS) else AGAIN
             raise InputError(problem, path=str(path), remedy=again)
