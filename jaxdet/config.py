@@ -65,9 +65,9 @@ class GroundConfig:
     step_height_m: float = 0.05
     """Maximum height that the wheels can climb [m]; lower points are floor."""
     step_height_per_m: float = 0.003
-    """Increase of the step height per metre of depth, for noise; it is divided by s for cells of s
-    x s pixels. The preset paper uses it undivided, as the uncertainty of the floor's tilt (0.003 is
-    0.2 degrees), and sets it to 0, as in the paper.
+    """Increase of the step height per metre of depth [m/m], for noise; it is divided by s for cells
+    of s x s pixels. In the method of the paper it is the uncertainty of the floor's tilt (0.003 is
+    0.2 degrees) and is not divided; the preset paper sets it to 0, as in the paper.
     """
     noise_per_m: float = 0.07
     """Depth noise on the floor [1/m]: the step height is at least the product of this value, the

@@ -698,7 +698,7 @@ def test_start_in_seconds_ignores_timestamps_of_an_unset_clock(tmp_path, aligned
 @pytest.mark.parametrize("scan", [False, True])
 @pytest.mark.parametrize("topics", [("/camera",), ("/tf", "/odom"), ("/camera", "/tf", "/odom")])
 def test_a_clock_set_during_the_log_has_no_offset(tmp_path, aligned, topics, scan):
-    """About half of the timestamps are of 1970; the others have poses."""
+    """Half of the timestamps are of 1970, before the clock was set. Later frames have poses."""
     middle = sorted(item.log_ns for item in aligned if item.topic == ALIGNED)[2]
 
     def change(message: Message) -> None:

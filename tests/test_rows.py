@@ -208,7 +208,7 @@ def test_rows_do_not_change_if_their_inputs_are_reduced_to_the_used_slots(name: 
         assert one.equals(other) and one.num_rows
     obstacles = map_leaves(lambda a: a[:, : most - 1], few.obstacles)
     short = few._replace(obstacles=obstacles)
-    with pytest.raises(ValueError, match=f"{most} obstacles in {most - 1} slots"):
+    with pytest.raises(ValueError, match=f"{most} obstacles do not fit in {most - 1} slots"):
         tables(batch, short, config)
 
 

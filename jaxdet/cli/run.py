@@ -106,7 +106,8 @@ class RunCommand:
     preset: str = DEFAULT_PRESET
     """Initial configuration: wheeled, tabletop, paper, d435, d455, oak-d, zed, azure-kinect,
     orbbec. wheeled is for wheeled robots, tabletop for a camera above a table, paper detects
-    clusters of corner features; the others are wheeled with the depth range of that camera."""
+    clusters of corner features. Each of the others is wheeled with the depth range of the camera it
+    is named after."""
     config: Path | None = field(default=None, metadata={"takes": "FILE"})
     """TOML file with sections as below, or the config.json of results."""
     truth: Path | None = field(default=None, metadata={"takes": "TRUTH"})

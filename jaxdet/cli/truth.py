@@ -215,7 +215,9 @@ class TruthScore:
         return total([right, *claimed_floor(found, floor_m, unit, self.config, valid)])
 
     def _check_depth(self, z_m: np.ndarray, ids: np.ndarray, true_m: np.ndarray) -> None:
-        """Check depths on obstacles against true depths, as other logs may have equal timestamps.
+        """Check depths on obstacles against true depths, to notice the truth of another log.
+
+        The timestamps of two logs may be equal.
 
         Raises:
             InputError: The depths differ too much.

@@ -105,6 +105,7 @@ class GpuThreads:
         """
         size, gpu, more = self.wanted.pieces, None, True
         left: deque[Piece] = deque()
+        copied: Batch | None = None
         copying: Batch | None = None
         computing: Batch | None = None
         while more or left or copying or computing:
@@ -126,7 +127,7 @@ class GpuThreads:
             except Exception as error:
                 batches = [batch.pieces for batch in (computing, copying) if batch]
                 left.extendleft(reversed([*chain(*batches), *new]))
-                copying = computing = None
+                copied = copying = computing = None  # their images leave the device
                 if gpu:
                     gpu.close()
                 gpu = None
@@ -158,10 +159,12 @@ class GpuThreads:
                 if not ready:
                     break
                 for end in ready[: most - len(left)]:
+                    self.ends.remove(end)
                     try:
                         left.append(end.recv())
                     except (EOFError, OSError):  # the worker has died, which its pool reports
-                        self.ends.remove(end)
+                        continue
+                    self.ends.append(end)  # last, so that all workers get their turn
         finally:
             self.receiving.release()
         return True

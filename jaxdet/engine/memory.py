@@ -50,7 +50,7 @@ class Needs(NamedTuple):
     frame: int
     """Memory of the images of a frame."""
     known: int
-    """Memory of the log's index of messages, which each process holds."""
+    """Memory of the log's message index in each process."""
     rows: int
     """Memory of the table rows that are packed together in this process."""
 

@@ -232,7 +232,7 @@ def start_reading() -> None:
 
 
 def use_warp_cache() -> None:
-    """Make Warp use the cache of runs; call it before Warp starts."""
+    """Make Warp use the kernel cache that runs use; call it before Warp starts."""
     folder = cache_folders().warp
     if is_writable(folder):
         os.environ["WARP_CACHE_PATH"] = str(folder)

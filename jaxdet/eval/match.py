@@ -144,6 +144,9 @@ def match(votes: np.ndarray, is_obstacle: np.ndarray, share: float = 0.5) -> np.
 
 
 def eligible(votes: np.ndarray, is_obstacle: np.ndarray, share: float) -> np.ndarray:
-    """Return which pairs may match, ``(L, J + 1)`` bool."""
+    """Return which pairs of a detection and an object may match, ``(L, J + 1)`` bool.
+
+    The arguments are those of :func:`match`.
+    """
     whole = votes.sum(axis=1, keepdims=True)
     return is_obstacle & (votes > 0) & (votes >= share * whole)

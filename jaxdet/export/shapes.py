@@ -97,8 +97,8 @@ def contour(obstacle: Row) -> np.ndarray:
 def heights(row: Row, obstacle: Row) -> tuple[float, float]:
     """Return the heights of the lowest and the highest point in the floor frame [m].
 
-    If the table has no heights, they are computed from the box in the camera frame, at its
-    centroid.
+    If the table has no heights, they are computed from the top and bottom of the box in the camera
+    frame, at the depth of the obstacle's centroid.
     """
     if obstacle["bottom_m"] is not None:
         return obstacle["bottom_m"], obstacle["top_m"]

@@ -16,6 +16,7 @@ In a folder, a log has the layout of local runs, renamed into place; ``.fleet`` 
 
 import hashlib
 import json
+import secrets
 import time
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -155,11 +156,15 @@ class BucketResults(_Attempts):
         with ThreadPoolExecutor(_UPLOADS) as pool:
             for put in [pool.submit(self.place.put, *one) for one in zip(keys, paths, strict=True)]:
                 put.result()
+        # Once this attempt is valid, none that has begun before can be published any more. Attempts
+        # that begin afterwards are not listed here, so their files are kept.
+        before = [entry.key for entry in self.place.list(f"{target.name}/")]
         state = self._point(target, {"attempt": attempt}, seen)
-        # No other attempt can be published any more that has begun before.
-        keep = (own, f"{target.name}/{CURRENT}") if state == "done" else ()
-        under = self.place.list(f"{target.name}/" if state == "done" else own)
-        self.place.delete([entry.key for entry in under if not entry.key.startswith(keep)])
+        if state == "done":
+            keep = own, f"{target.name}/{CURRENT}"
+            self.place.delete([key for key in before if not key.startswith(keep)])
+        else:
+            self.place.delete(keys)
         return state
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
@@ -236,7 +241,7 @@ class FolderResults(_Attempts):
         return self._place(target, staged, ("whole",))
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
-        staged = self.stage("failed", Path())
+        staged = self.stage(f"failed-{secrets.token_hex(4)}", Path())
         with writing(staged):
             staged.mkdir()
             (staged / FAILED).write_bytes(_bytes(failure))

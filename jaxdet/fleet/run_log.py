@@ -205,7 +205,7 @@ class _Job:
         return self.outcome
 
     def _fail(self, error: str, staged: Path | None = None, **values: Any) -> dict[str, Any]:
-        """Publish why the log has no results, with ``failed.json`` in ``staged`` if it is there."""
+        """Publish the reason why the log has no results: ``failed.json``, if ``staged`` has one."""
         path = staged / FAILED if staged else None
         if path and path.exists():
             content = json.loads(self._renamed(path.read_text(encoding="utf-8")))
@@ -262,6 +262,8 @@ class _Job:
             if error is None:
                 results.publish(self.target, secrets.token_hex(6), folder, self.seen)
             return error
+        except InputError as error:  # another machine may have published them with tracks
+            return None if TRACKS in results.files(self.target.name) else str(error)
         finally:
             spool.close()
 
@@ -305,7 +307,8 @@ def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
     """Compare a run with the ``run.json`` at its address, or create that file; once per run.
 
     Returns:
-        ``how`` with ``record``, ``overwrites`` and ``command``, which all machines of a run share.
+        The argument ``how``, completed by ``record``, ``overwrites`` and ``command``, which are the
+        same on all machines of a run.
 
     Raises:
         ConfigError: The address has results of another configuration or version, the store ignores

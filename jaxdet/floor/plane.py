@@ -79,7 +79,7 @@ def plane_from_transform(T_base_camera: np.ndarray) -> GroundPlane:
 
 
 def plane_in_color(plane: GroundPlane, calibration: Calibration) -> GroundPlane:
-    """Transform planes from the depth camera to the colour camera, without ramps."""
+    """Transform planes from the depth camera to the colour camera; ramps are dropped."""
     if calibration.color_from_depth is None:
         return plane
     T = calibration.color_from_depth.T

@@ -28,6 +28,8 @@ distribution by its median absolute deviation; standard error of the median of n
 deviations by the square root of n."""
 _STEADY = 0.2
 """Maximum deviation of single delays from their median, as a fraction of the offset."""
+_FEW_DELAYS = 5
+"""Number of delays below which their spread is not known."""
 _AGREE_NS = 2_000_000
 """Tolerance for timestamps of the same exposure [ns]."""
 _YEAR_NS = 365 * 24 * 3600 * 1_000_000_000
@@ -190,7 +192,8 @@ def _difference(first: np.ndarray, second: np.ndarray) -> _Difference:
     pairs = [*zip((first, second), middles, strict=True)]
     off = [float(np.median(np.abs(delays - middle))) for delays, middle in pairs]
     variance = sum(one**2 / len(delays) for one, (delays, _) in zip(off, pairs, strict=True))
-    error_ns = _ERROR_OF_MEDIAN * _SIGMA_OF_MAD * math.sqrt(variance)
+    few = min(len(first), len(second)) < _FEW_DELAYS
+    error_ns = math.inf if few else _ERROR_OF_MEDIAN * _SIGMA_OF_MAD * math.sqrt(variance)
     return _Difference(found, error_ns, is_steady=max(off) <= _STEADY * abs(found))
 
 

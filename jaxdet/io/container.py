@@ -167,17 +167,6 @@ class LogFile(ABC):
         found = self.read_index()
         return found._replace(integrity=found.integrity._replace(by_index=False))
 
-    def find_index(self) -> FileIndex:
-        """Return the file's own index, or a rebuilt one if it is missing or wrong.
-
-        Raises:
-            InputError: See :meth:`rebuild_index`.
-        """
-        try:
-            return self.read_index()
-        except DamageError:
-            return self.rebuild_index()
-
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:
         """Return the header of the chunk at ``position``, an identifier used in the index.

@@ -1,17 +1,37 @@
-"""Schemas and channels declared in an MCAP file."""
+"""Schema and channel records of an MCAP file, parsed with bounds checks.
 
-from collections.abc import Callable
-from io import BytesIO
-from typing import NamedTuple, TypeVar
+Source: MCAP's specification, records ``Schema`` (0x03) and ``Channel`` (0x04).
+"""
 
-from mcap.data_stream import ReadDataStream
-from mcap.records import Channel, Schema
+import struct
+from typing import NamedTuple
 
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, MAX_SCHEMAS_BYTES
 from jaxdet.io.messages import kind_of
 
-T = TypeVar("T")
+_SIZE = struct.Struct("<I")
+_SCHEMA = struct.Struct("<H")
+_CHANNEL = struct.Struct("<HH")
+
+
+class Schema(NamedTuple):
+    """A schema declared in the file."""
+
+    name: str
+    encoding: str
+    data: bytes
+    """Schema text; empty if it is not needed or too large."""
+    size: int
+    """Size of the schema text in the file [byte]."""
+
+
+class Channel(NamedTuple):
+    """A channel declared in the file."""
+
+    topic: str
+    message_encoding: str
+    schema_id: int
 
 
 class ChannelInfo(NamedTuple):
@@ -36,8 +56,7 @@ class Declarations:
     """Schemas and channels of a file or its summary; the first record of each id counts."""
 
     def __init__(self) -> None:
-        self.schemas: dict[int, tuple[str, str, bytes, int]] = {}
-        """Last four fields of :class:`ChannelInfo`, by schema id."""
+        self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self._bytes = 0
 
@@ -45,28 +64,36 @@ class Declarations:
         """Add the content of a schema record.
 
         Raises:
-            DamageError: The record is damaged, or the schemas need too much memory.
+            DamageError: A length exceeds the record, or the schemas need too much memory.
         """
-        item = _parsed(Schema.read, content)
-        if item.id in self.schemas:
+        (number,), place = _unpack(_SCHEMA, content, 0)
+        name, place = _text(content, place)
+        encoding, place = _text(content, place)
+        (size,), place = _unpack(_SIZE, content, place)
+        if place + size > len(content):
+            raise DamageError("schema or channel record is damaged")
+        if number in self.schemas:
             return
-        size = len(item.data)
-        is_kept = kind_of(item.name) is not None and size <= MAX_SCHEMA_BYTES
-        self._count(size if is_kept else len(item.name))
-        data = item.data if is_kept else b""
-        self.schemas[item.id] = item.name, item.encoding, data, size
+        is_kept = kind_of(name) is not None and size <= MAX_SCHEMA_BYTES
+        self._count(len(name) + len(encoding) + (size if is_kept else 0))
+        data = bytes(content[place : place + size]) if is_kept else b""
+        self.schemas[number] = Schema(name, encoding, data, size)
 
     def add_channel(self, content: bytes | memoryview) -> None:
         """Add the content of a channel record; its metadata are ignored.
 
         Raises:
-            DamageError: The record is damaged, or the names of channels need too much memory.
+            DamageError: A length exceeds the record.
         """
-        item = _parsed(Channel.read, content)
-        if item.id not in self.channels:
-            self._count(len(item.topic) + len(item.message_encoding))
-            item.metadata = {}
-            self.channels[item.id] = item
+        (number, schema), place = _unpack(_CHANNEL, content, 0)
+        topic, place = _text(content, place)
+        encoding, place = _text(content, place)
+        (size,), place = _unpack(_SIZE, content, place)
+        if place + size > len(content):
+            raise DamageError("schema or channel record is damaged")
+        if number not in self.channels:
+            self._count(len(topic) + len(encoding))
+            self.channels[number] = Channel(topic, encoding, schema)
 
     def info(self, number: int, more: "Declarations | None" = None) -> ChannelInfo | None:
         """Return a channel with its schema, if any; None if the channel is not declared.
@@ -75,12 +102,12 @@ class Declarations:
             number: Channel id.
             more: Declarations to search for channels and schemas that are missing here.
         """
-        parts = (self, more) if more else (self,)
-        channel = next((part.channels[number] for part in parts if number in part.channels), None)
+        channels = (self.channels, more.channels if more else {})
+        channel = next((part[number] for part in channels if number in part), None)
         if channel is None:
             return None
         key = channel.schema_id
-        schema = next((part.schemas[key] for part in parts if key in part.schemas), None)
+        schema = self.schemas.get(key) or (more.schemas.get(key) if more else None)
         return ChannelInfo(channel.topic, channel.message_encoding, *(schema or ("", "", b"", 0)))
 
     def _count(self, size: int) -> None:
@@ -89,9 +116,18 @@ class Declarations:
             raise DamageError("schemas and names of channels take too much memory")
 
 
-def _parsed(read: Callable[[ReadDataStream], T], content: bytes | memoryview) -> T:
-    """Parse the content of a record by a function of ``mcap``."""
+def _unpack(form: struct.Struct, content: bytes | memoryview, place: int) -> tuple[tuple, int]:
     try:
-        return read(ReadDataStream(BytesIO(content)))
-    except Exception as error:  # mcap's reader may raise any exception
+        return form.unpack_from(content, place), place + form.size
+    except struct.error as error:
+        raise DamageError("schema or channel record is damaged") from error
+
+
+def _text(content: bytes | memoryview, place: int) -> tuple[str, int]:
+    (size,), place = _unpack(_SIZE, content, place)
+    if place + size > min(len(content), place + MAX_SCHEMA_BYTES):
+        raise DamageError("schema or channel record is damaged")
+    try:
+        return str(content[place : place + size], "utf-8"), place + size
+    except UnicodeDecodeError as error:
         raise DamageError("schema or channel record is damaged") from error

@@ -113,7 +113,7 @@ class IndexedMessages(NamedTuple):
     file: np.ndarray
     """Number of the file in the log; 0 in the index of a file."""
     decoder: np.ndarray
-    """Index of the decoder; 0 in the index of a file."""
+    """Position of the decoder in the log's list; always 0 if the index is of a single file."""
 
     @classmethod
     def joined(cls, parts: Sequence["IndexedMessages"]) -> "IndexedMessages":

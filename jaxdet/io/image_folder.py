@@ -92,7 +92,7 @@ class ImageFolder(MessageFile):
         found = message.head
         for path, size in message.files:
             if len(found) < most:
-                found += self._read(path, size)
+                found += self._read(path, min(size, most - len(found)))
         return found[:most]
 
     def _read(self, path: Path, size: int) -> bytes:

@@ -26,8 +26,7 @@ from jaxdet.io.windows import StreamWindows
 
 _MOTIONS = (Kind.TRANSFORM, Kind.ODOMETRY, Kind.POSE)
 _MAX_MOTIONS = 1000
-"""Maximum number of transforms and poses that are all read at opening; otherwise a sample is read.
-"""
+"""Number of transforms and poses up to which all are read at opening; of more, a sample is read."""
 _MOTION_SAMPLE = 192
 _STATIC = 256
 """Number of static transforms read at opening if there are many."""

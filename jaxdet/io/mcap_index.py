@@ -128,6 +128,7 @@ class FileRecords:
             is_known = opcode in _KNOWN or opcode >= 0x80
             if is_known and position <= self._file.size and odd <= MAX_ODD_RECORDS:
                 yield FileRecord(opcode, content, length)
+                odd = 0 if opcode in (Opcode.CHUNK, Opcode.MESSAGE) else odd
                 if opcode in _LAST:
                     return
                 continue
@@ -223,11 +224,13 @@ def read_mcap_index(file: LogFile) -> FileIndex:
     for opcode, position, length in records.walk():
         if opcode == Opcode.MESSAGE_INDEX:
             file.check_size(length, "message index")
+            if length == INDEX_HEAD.size:  # it names no message
+                continue
             owners.append(len(chunks) - 1)
             indexes.append(records.read(position, length))
             size += length
             if size > checked_size + _UNCHECKED_BYTES:
-                file.check_messages(size // INDEX_ENTRY_BYTES)
+                file.check_messages(size // INDEX_ENTRY_BYTES + len(owners) + len(chunks))
                 checked_size = size
         elif opcode == Opcode.CHUNK:
             head = read_chunk_head(records.read(position, min(length, HEAD_BYTES)), length)

@@ -175,7 +175,10 @@ def _search_siblings(
         try:
             with closing(open_file(path, options.max_chunk_mib << 20, memory)) as file:
                 builder = ContentsBuilder(contents, options.tf, images=False)
-                search_index(file, file.find_index(), builder)
+                try:
+                    search_index(file, file.read_index(), builder)
+                except DamageError:  # of the index, or of a chunk that it names
+                    search_index(file, file.rebuild_index(), builder)
         except ChunkMemoryError:
             raise  # otherwise the result would depend on the available memory
         except (InputError, DamageError) as error:

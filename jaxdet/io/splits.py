@@ -51,10 +51,16 @@ class Signature(NamedTuple):
 
 
 def signature(path: Path) -> Signature | None:
-    """Return the signature of a file from its index; None if the file can't be read."""
+    """Return the signature of a file; None if the file can't be read.
+
+    The file is scanned if its index, or a chunk that the index names, is damaged.
+    """
     most = LogOptions.max_chunk_mib << 20
     with suppress(InputError, DamageError), closing(open_file(path, most)) as file:
-        return _signature_of(file, file.find_index())
+        try:
+            return _signature_of(file, file.read_index())
+        except DamageError:
+            return _signature_of(file, file.rebuild_index())
     return None
 
 

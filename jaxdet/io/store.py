@@ -216,7 +216,10 @@ class ChunkStore:
         return memoryview(self.files[place.file].read(start + offset, max(size, 0)))
 
     def _size(self, place: Place) -> int:
+        """Return the size of a chunk, compressed or not, whichever is larger [byte]."""
         try:
-            return min(self.head(place).uncompressed_size, self.files[place.file].max_bytes)
+            head = self.head(place)
+            size = max(head.uncompressed_size, head.data_size)
+            return min(size, self.files[place.file].max_bytes)
         except DamageError:
             return 0

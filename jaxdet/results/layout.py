@@ -13,7 +13,7 @@
         failed.json       why the log has no results, and how often it was tried
       .jaxdet/            files of a command that writes here, while it runs
         lock
-        old-1a2b/drive_1/ moved aside while RESULTS/drive_1 is replaced
+        aside-1a2b/drive_1/ moved aside while RESULTS/drive_1 is replaced
 
 Readers find a log's folder there too, see :mod:`jaxdet.results.publish`.
 """
@@ -32,7 +32,7 @@ SUMMARY, CONFIG = "summary.json", "config.json"
 FRAMES, OBSTACLES = "frames.parquet", "obstacles.parquet"
 TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
 """Tables that ``jaxdet track`` adds to a log's folder."""
-WORKING, ASIDE = ".jaxdet", "old-"
+WORKING, ASIDE = ".jaxdet", "aside-"
 """Folder of a command that writes results, and the beginning of names in it."""
 FLEET = ".fleet"
 """Folder in results for notes of machines that share a run, see jaxdet.fleet.publish."""
@@ -40,9 +40,12 @@ FLEET = ".fleet"
 
 def log_folders(results: Path) -> dict[str, Path]:
     """Return the folders of logs by their names, complete and failed ones, in order."""
-    places = [*(results / WORKING).glob(f"{ASIDE}*"), results]
-    found = {path.name: path for place in places for path in _with_results(place)}
-    return dict(sorted(found.items()))
+    while True:
+        aside = set((results / WORKING).glob(f"{ASIDE}*"))
+        found = {path.name: path for place in (*aside, results) for path in _with_results(place)}
+        # A folder that is moved aside meanwhile would be missing.
+        if set((results / WORKING).glob(f"{ASIDE}*")) <= aside:
+            return dict(sorted(found.items()))
 
 
 def _with_results(folder: Path) -> Iterator[Path]:

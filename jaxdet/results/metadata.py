@@ -27,7 +27,7 @@ _CHANGES_NO_ROW = ("preset", "backend", "batch_size")
 
 
 class Inputs:
-    """Digest of the stamps and the calibration of each camera of each log in a table."""
+    """Digests for each camera of each log in a table: of its stamps and its calibration."""
 
     def __init__(self) -> None:
         self._frames: dict[tuple[str, str], int] = {}

@@ -90,7 +90,10 @@ def rename_if_absent(staged: Path, place: Path) -> bool:
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step; return False if the system can't, and change nothing."""
+    """Exchange two folders in one step; return False, and change nothing, if that is not possible.
+
+    The system may not support it, or another process may have moved ``other``.
+    """
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError, TypeError):  # no such function in this C library
@@ -99,7 +102,7 @@ def exchange(one: Path, other: Path) -> bool:
     if rename(_AT_FDCWD, paths[0], _AT_FDCWD, paths[1], _RENAME_EXCHANGE) == 0:
         return True
     number = ctypes.get_errno()
-    if number in _CANT:
+    if number in _CANT or (number == errno.ENOENT and os.path.lexists(one)):
         return False
     raise OSError(number, os.strerror(number), str(other))
 

@@ -283,7 +283,7 @@ def _obstacle_columns(
 ) -> dict[str, Any]:
     unit, slots = frames.calibration.depth_unit, found.obstacles.num_points.shape[1]
     if (most := found.num_obstacles.max(initial=0)) > slots:
-        raise ValueError(f"{most} obstacles in {slots} slots")
+        raise ValueError(f"{most} obstacles do not fit in {slots} slots")
     row, slot = np.nonzero(good[:, None] & (np.arange(slots) < found.num_obstacles[:, None]))
     obstacles: Obstacles = map_leaves(lambda part: part[row, slot], found.obstacles)
     box, corners = extents(obstacles, unit), rectangles(obstacles, unit, config.footprint)

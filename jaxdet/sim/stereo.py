@@ -44,8 +44,8 @@ class DepthSensor:
     """Relative depth error at 4 m in the image corners, from a disparity error that is smooth and
     constant for a camera (stereo bowing)."""
     waves_px: float = 0.0
-    """Standard deviation of a disparity error with wavelengths of a fortieth of the image width
-    [pixel], drawn per frame."""
+    """Standard deviation [pixel] of a smooth disparity error that differs from frame to frame; its
+    wavelength is a fortieth of the image width."""
     margin: float = 0.0
     """Width of the margins with larger errors, at the left and right of the image, as a fraction of
     the image width."""

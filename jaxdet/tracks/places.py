@@ -113,7 +113,7 @@ class Places:
         np.add.at(self._of_tracks, tracks[linked], each[linked])
 
     def follow(self, rows: TrackRows) -> None:
-        """Count the frames that show floor at the position of a moving track in the same frame."""
+        """Count the frames in which floor is visible where a moving track is in that frame."""
         tracks = TracksInFrames(row for part in rows.ordered() for row in part.to_pylist())
         for chunk in self._results.chunks(self._log, FRAME_COLUMNS, (), CHUNK_FRAMES):
             frames, numbers, places = [], [], []

@@ -1,4 +1,4 @@
-"""Several processes and machines: shares and races on S3, and a Ray cluster of two nodes."""
+"""Several processes and machines: runs with --share and races on S3; a Ray cluster of two nodes."""
 
 import json
 import os

@@ -199,3 +199,26 @@ def test_crashes_and_lost_machines_are_counted_separately(url, monkeypatch):
     monkeypatch.setattr(spool, "machine", lambda: "elsewhere")
     assert results.deaths(target)[0] == 2  # a1, and a2, whose machine is now this one
     results.end(running)
+
+
+def test_an_attempt_that_stalls_after_publishing_keeps_files_of_a_later_one(
+    url, tmp_path, monkeypatch
+):
+    """The later attempt of another version begins while the first one cleans up."""
+    if not url.startswith("s3:"):
+        pytest.skip("folders have one attempt at a time")
+    first, later = open_results(url), open_results(url)
+    old, new = target_of("r1"), target_of("r2")
+    real = first._point
+
+    def stall(*args):
+        state = real(*args)
+        assert (
+            later.publish(new, "b", stage(later, tmp_path, "b", "r2"), later.standing(new))
+            == "done"
+        )
+        return state
+
+    monkeypatch.setattr(first, "_point", stall)
+    assert first.publish(old, "a", stage(first, tmp_path, "a"), first.standing(old)) == "done"
+    assert table(url, tmp_path) and later.standing(new).state == "whole"

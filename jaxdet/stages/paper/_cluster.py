@@ -34,9 +34,10 @@ class Sizes(NamedTuple):
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     """Cluster points by gaps; twin of :func:`jaxdet.reference.paper.cluster`.
 
-    Scans over all frames: number the sets of neighbours in depth by their bins and count their
-    points; sort by set and x, flag gaps, number the runs between them by prefix sums, and count
-    their points; number the remaining runs. z is below 65536, x at most MAX_LATERAL.
+    Each step is a scan over all frames. First, points that are neighbours in depth form sets, which
+    are numbered by their bins, and whose points are counted. Then the points are sorted by set and
+    x, the runs between gaps are numbered by prefix sums, and their points are counted. Finally, the
+    runs with enough points are numbered. z is below 65536, x at most MAX_LATERAL.
 
     Raises:
         ConfigError: There are more than 8192 points per frame.

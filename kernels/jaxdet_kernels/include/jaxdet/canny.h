@@ -1,6 +1,6 @@
 // Grey conversion, gradients and non-maximum suppression of Canny, all in integers. Twin of
 // jaxdet/reference/paper/_canny.py. The outputs are two bitmaps (pixel_bits.h): weak edges, above the lower
-// threshold, and strong edges, above the higher one. hysteresis.h connects them.
+// threshold, and strong edges, above the higher one. `Hysteresis` connects them.
 #pragma once
 #include "pixel_bits.h"
 #include "warp.h"

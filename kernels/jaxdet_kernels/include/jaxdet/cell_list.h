@@ -9,7 +9,7 @@ struct CellList {
     enum { AHEAD = 4 };
     int* count;
     // Index, label and position on the floor of each listed cell. The cells of a row are listed in order;
-    // on CUDA, groups of AHEAD words of cells are listed in any order.
+    // on CUDA, cells are listed in groups of AHEAD words, and the groups are in any order.
     int *cell, *label, *right, *forward;
 
     // Lists all cells with a label. Also writes the bitmaps of labelled cells to `has` and of free

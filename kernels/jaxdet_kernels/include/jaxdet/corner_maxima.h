@@ -65,7 +65,8 @@ struct CornerMaxima {
     double quality;           // minimum strength of a corner, as a fraction of the largest strength
     // Scratch memory.
     int* list;                // (height * PixelBits::words(width)) words that may contain corners
-    int* strength;            // (strengths(height, width)) bits of floats, 0 if not a corner
+    int* strength;            // size strengths(height, width): strengths as bits of floats, 0 if not a
+                              // corner
     Key* keys;                // (height * width) maxima, unordered
 
     enum { MARGIN = 2, WORD = 32 };  // padding words on each side of a row of edges; pixels per word

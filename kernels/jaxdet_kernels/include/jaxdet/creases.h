@@ -33,7 +33,7 @@ struct Creases {
     int *smooth, *other, *step;
     // Bitmap of the cells to process, and two bitmaps of scratch memory: crease cells, and run starts.
     BitRows kept, found, wide;
-    Runs runs;  // of `found`, starting at `wide`
+    Runs runs;  // runs of the cells in `found`; `wide` marks their first cells
 
     static int apart(int a, int b) { return a < b ? b - a : a - b; }
 

@@ -72,7 +72,7 @@ struct Measures {
     // Positions of the cells in the camera optical frame, and their heights [depth units].
     const int *xyz[3], *height;
     CellBoxes boxes;
-    // Results, one row per slot, 0 before; see `Obstacles` in jaxdet/types.py.
+    // Results, one row per slot, which the caller must set to 0; see `Obstacles` in jaxdet/types.py.
     int *count_out, *uv_min_out, *uv_max_out, *xyz_min_out, *xyz_max_out, *xyz_sum_out;
     int *a_out, *b_out, *c_out, *bottom_top_out;
     int* vertex_out;

@@ -29,7 +29,7 @@ struct PixelBits {
     static int column(int place) { return place & 0xffff; }
     static int row(int place) { return place >> 16; }
 
-    // Copies a bit of a row to one that is 0.
+    // Copies bit `from` of a row to bit `to`, which must be 0.
     static void copy(unsigned* row, int from, int to) {
         row[to >> 5] |= (row[from >> 5] >> (from & 31) & 1) << (to & 31);
     }

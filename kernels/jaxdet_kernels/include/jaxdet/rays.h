@@ -17,7 +17,7 @@ struct Rays {
         RATIO_BITS = 12,
         BITS = 13,       // fraction bits of a direction
         TURN_BITS = 13,  // fraction bits of a small angle
-        MOST_WIDER = 8,  // largest ratio of a column's width at its end and at its neighbour's end
+        MOST_WIDER = 8,  // largest ratio of a column's width at its end to that at its neighbour's end
         END_BITS = 2,
         NONE = 0x7fffffff,
         INFINITE = 0x7f800000  // infinity as float32

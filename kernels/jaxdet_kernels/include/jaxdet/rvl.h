@@ -17,7 +17,7 @@ struct RvlWindows {
         unsigned char count;  // number of complete differences
         unsigned char bits;   // number of bits of the complete differences
     };
-    Window windows[1 << BITS];  // no sum exceeds REACH in magnitude
+    Window windows[1 << BITS];  // no partial sum exceeds REACH in magnitude
 
     RvlWindows() {
         for (int code = 0; code < 1 << BITS; ++code) {

@@ -108,7 +108,7 @@ struct Surfaces {
         return on;
     }
 
-    // Increase of the floor's tolerance per depth unit of z that noise causes, with SLOPE_BITS fraction
+    // Increase of the floor's tolerance due to noise, per depth unit of z, with SLOPE_BITS fraction
     // bits.
     static int noise(const FloorFrame& frame, int setting) {
         const long long high = frame.height > 0 ? frame.height : 0;

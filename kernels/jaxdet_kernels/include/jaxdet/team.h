@@ -123,8 +123,8 @@ template <class Work> void each_frame(int* next, int frames, Work work) {
 #endif
 
 // Calls `work(b, team, near, own)` for the frames of a batch. On CUDA the teams of a launch share the
-// frames, on the CPU its threads take them one by one. `near` is in the fastest memory of a team; `own`
-// is the part of its scratch memory, which has `words` for all teams.
+// frames, on the CPU its threads take them one by one. `near` is in the fastest memory of a team;
+// `own` is the team's share of the scratch memory, which has `words` words for all teams.
 template <class Near, class Work>
 void by_frames(int tid, int frames, int* next, int* scratch, int words, Work work) {
     const Team team(tid, 0);
