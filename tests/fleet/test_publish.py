@@ -7,7 +7,7 @@ import pytest
 
 from jaxdet.fleet import publish, result_files, spool
 from jaxdet.fleet.place import Bucket, Folder, input_entry
-from jaxdet.fleet.publish import Target, open_results, version_of
+from jaxdet.fleet.publish import BucketResults, Target, open_results, version_of
 from jaxdet.results import publish as folders
 from jaxdet.results.layout import log_folders
 from tests.fleet.stub import check_complete, check_results, run_one
@@ -208,6 +208,7 @@ def test_an_attempt_that_stalls_after_publishing_keeps_files_of_a_later_one(
     if not url.startswith("s3:"):
         pytest.skip("folders have one attempt at a time")
     first, later = open_results(url), open_results(url)
+    assert isinstance(first, BucketResults)
     old, new = target_of("r1"), target_of("r2")
     real = first._point
 
