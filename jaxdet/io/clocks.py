@@ -41,6 +41,8 @@ class _Difference(NamedTuple):
     ns: int
     error_ns: float
     """Standard error of the difference, from the spread of the single delays."""
+    count: int
+    """Number of delays of the topic that has fewer."""
     is_steady: bool
     """Whether single delays deviate little from their median, compared with the difference."""
 
@@ -131,7 +133,8 @@ def pose_offset(
         return Offset()
     topic, least = min(zip(delays, found[0], strict=True), key=lambda item: abs(item[1].ns))
     if not all(one.offset_ns for one in every):
-        return Offset(0, _doubt(topic[0], least))
+        known = min(one.count for one in every) >= _FEW_DELAYS
+        return Offset(0, _doubt(topic[0], least)) if known else Offset()
     return Offset(least.ns, _text(topic[0], least.ns, "--log.pose-offset-s"))
 
 
@@ -186,15 +189,15 @@ def _delays(stream: ImageStream) -> np.ndarray:
 def _difference(first: np.ndarray, second: np.ndarray) -> _Difference:
     """Compare the delays of two topics ``(N,)`` and ``(M,)`` int64 [ns]; they may be empty."""
     if not len(first) or not len(second):
-        return _Difference(0, 0.0, is_steady=False)
+        return _Difference(0, 0.0, 0, is_steady=False)
     middles = [int(np.median(delays)) for delays in (first, second)]
     found = middles[0] - middles[1]
     pairs = [*zip((first, second), middles, strict=True)]
     off = [float(np.median(np.abs(delays - middle))) for delays, middle in pairs]
     variance = sum(one**2 / len(delays) for one, (delays, _) in zip(off, pairs, strict=True))
-    few = min(len(first), len(second)) < _FEW_DELAYS
-    error_ns = math.inf if few else _ERROR_OF_MEDIAN * _SIGMA_OF_MAD * math.sqrt(variance)
-    return _Difference(found, error_ns, is_steady=max(off) <= _STEADY * abs(found))
+    error_ns = _ERROR_OF_MEDIAN * _SIGMA_OF_MAD * math.sqrt(variance)
+    count = min(len(first), len(second))
+    return _Difference(found, error_ns, count, is_steady=max(off) <= _STEADY * abs(found))
 
 
 def _stamps_agree(depth: ImageStream, color: ImageStream) -> bool:
