@@ -41,7 +41,7 @@ class _Difference(NamedTuple):
     ns: int
     error_ns: float
     """Standard error of the difference, from the spread of the single delays."""
-    count: int
+    num_delays: int
     """Number of delays of the topic that has fewer."""
     is_steady: bool
     """Whether single delays deviate little from their median, compared with the difference."""
@@ -133,7 +133,7 @@ def pose_offset(
         return Offset()
     topic, least = min(zip(delays, found[0], strict=True), key=lambda item: abs(item[1].ns))
     if not all(one.offset_ns for one in every):
-        known = min(one.count for one in every) >= _FEW_DELAYS
+        known = min(one.num_delays for one in every) >= _FEW_DELAYS
         return Offset(0, _doubt(topic[0], least)) if known else Offset()
     return Offset(least.ns, _text(topic[0], least.ns, "--log.pose-offset-s"))
 
@@ -196,8 +196,8 @@ def _difference(first: np.ndarray, second: np.ndarray) -> _Difference:
     off = [float(np.median(np.abs(delays - middle))) for delays, middle in pairs]
     variance = sum(one**2 / len(delays) for one, (delays, _) in zip(off, pairs, strict=True))
     error_ns = _ERROR_OF_MEDIAN * _SIGMA_OF_MAD * math.sqrt(variance)
-    count = min(len(first), len(second))
-    return _Difference(found, error_ns, count, is_steady=max(off) <= _STEADY * abs(found))
+    num_delays = min(len(first), len(second))
+    return _Difference(found, error_ns, num_delays, is_steady=max(off) <= _STEADY * abs(found))
 
 
 def _stamps_agree(depth: ImageStream, color: ImageStream) -> bool:
