@@ -3,7 +3,7 @@
 In a bucket::
 
     RESULTS/run.json                       configuration and versions, created once
-    RESULTS/LOG/current.json               names the valid attempt, or says why there is none
+    RESULTS/LOG/current.json               names the valid attempt, or the reason why there is none
     RESULTS/LOG/ATTEMPT/...                a results folder as on one machine
     RESULTS/LOG/attempts/VERSION/ATTEMPT   note of an attempt in progress
 

@@ -11,12 +11,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import ChunkHead, DamageError
 from jaxdet.io.file_index import FileIndex
 from jaxdet.io.limits import ReadMemory, check_chunk, check_count, check_index
+
+T = TypeVar("T")
 
 RECORDINGS = (".mcap", ".db3", ".bag")
 """Suffixes of recordings, by priority among several formats of the same recording."""
@@ -166,6 +168,21 @@ class LogFile(ABC):
         """
         found = self.read_index()
         return found._replace(integrity=found.integrity._replace(by_index=False))
+
+    def by_index(self, use: Callable[[FileIndex], T]) -> T:
+        """Return the result of a function of the file's index.
+
+        If the index is damaged, or a chunk that the function reads by it, the function is called
+        with a rebuilt index.
+
+        Raises:
+            DamageError: The function raises it for the rebuilt index too.
+            InputError: See :meth:`rebuild_index`.
+        """
+        try:
+            return use(self.read_index())
+        except DamageError:
+            return use(self.rebuild_index())
 
     @abstractmethod
     def chunk_head(self, position: int) -> ChunkHead:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import closing, suppress
+from functools import partial
 from os import PathLike
 
 from jaxdet.arguments import of_type
@@ -175,10 +176,7 @@ def _search_siblings(
         try:
             with closing(open_file(path, options.max_chunk_mib << 20, memory)) as file:
                 builder = ContentsBuilder(contents, options.tf, images=False)
-                try:
-                    search_index(file, file.read_index(), builder)
-                except DamageError:  # of the index, or of a chunk that it names
-                    search_index(file, file.rebuild_index(), builder)
+                file.by_index(partial(search_index, file, builder=builder))
         except ChunkMemoryError:
             raise  # otherwise the result would depend on the available memory
         except (InputError, DamageError) as error:

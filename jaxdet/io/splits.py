@@ -11,6 +11,7 @@ end of the previous ones, without overlap.
 import re
 from collections.abc import Sequence
 from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -57,10 +58,7 @@ def signature(path: Path) -> Signature | None:
     """
     most = LogOptions.max_chunk_mib << 20
     with suppress(InputError, DamageError), closing(open_file(path, most)) as file:
-        try:
-            return _signature_of(file, file.read_index())
-        except DamageError:
-            return _signature_of(file, file.rebuild_index())
+        return file.by_index(partial(_signature_of, file))
     return None
 
 
