@@ -465,67 +465,12 @@ struct Surfaces {
         return outer ? rises > away : 3 * rises > goes;
     }
 
-#if defined(__CUDA_ARCH__)
-    // Measures the cells of FEW words, given by their indices; an index of -1 is skipped.
-    void measure_words(
-        const Team& team, const Warp& warp, const Parts& in, const BitRows& has, const int* words
-    ) const {
-        const Margins margins(columns);
-        int l[FEW], h[FEW], f[FEW], h_below[FEW], f_below[FEW];
-        bool lowest[FEW];
-        for (int k = 0; k < FEW; ++k) {
-            const int r = has.row(words[k]), c = has.column(words[k]) + warp.lane;
-            const bool there = words[k] >= 0 && c < columns, over = there && r + 1 < rows;
-            const int here = there ? r * columns + c : 0, below = over ? here + columns : 0;
-            l[k] = there ? label_out[here] : -1;
-            h[k] = height[here], f[k] = forward[here];
-            h_below[k] = height[below], f_below[k] = forward[below];
-            lowest[k] = over && low[below];
-        }
-        for (int k = 0; k < FEW; ++k) {
-            const int r = has.row(words[k]), c = has.column(words[k]) + warp.lane;
-            const bool outer = margins.has(c);
-            const int rises = h[k] - h_below[k];
-            const bool steep = is_steep(rises, f[k] - f_below[k], outer);
-            const int level = lowest[k] ? steep ? -1 : 2 : 0;
-            const bool sure = lowest[k] || r + 1 == rows || !outer;
-            // One label after the other.
-            for (unsigned rest = warp.ballot(l[k] >= 0); rest;) {
-                const int leader = BitRows::lowest(rest);
-                const int label = warp.broadcast(l[k], leader);
-                const bool own = l[k] == label;
-                const unsigned those = warp.ballot(own);
-                const int top = warp.max(own && h[k] > -1 ? h[k] : -1);
-                const int sum = warp.sum(own ? level : 0);
-                const bool any_sure = warp.ballot(own && sure);
-                if (warp.lane == leader)
-                    update(team, in, label, r * columns + c, top, sum, any_sure);
-                rest &= ~those;
-            }
-        }
-    }
-#endif
-
     // Measures all surfaces. Ends in a sync.
     void measure(const Team& team, const Parts& in, int runs, const BitRows& has) const {
         for (int run = team.rank; run < runs; run += team.size) in.sizes[run] = 0;
         team.sync();
-#if defined(__CUDA_ARCH__)
-        // Each lane tests whether a word has cells; then all lanes process FEW such words at a time.
-        const Warp warp(team);
-        for (int first = warp.index * Warp::size; first < has.count();
-             first += warp.count * Warp::size) {
-            const int own = first + warp.lane;
-            for (unsigned rest = warp.ballot(own < has.count() && has[own]); rest;) {
-                int words[FEW];
-                for (int k = 0; k < FEW; ++k, rest &= rest - 1)
-                    words[k] = rest ? first + BitRows::lowest(rest) : -1;
-                measure_words(team, warp, in, has, words);
-            }
-        }
-#else
         const Margins margins(columns);
-        for (int i = 0; i < has.count(); ++i) {
+        for (int i = team.rank; i < has.count(); i += team.size) {
             const int r = has.row(i), k = r * columns;
             const int* label = label_out + k + has.column(i);
             for (unsigned rest = has[i]; rest;) {
@@ -550,7 +495,6 @@ struct Surfaces {
                         pairs || r + 1 == rows || inner);
             }
         }
-#endif
         team.sync();
     }
 
