@@ -446,18 +446,6 @@ struct Surfaces {
         return from >= 0;
     }
 
-    // Updates the fields of the surface with root `label`. Sets `sizes` to 1 if `sure` is true: the
-    // surface has a lowest cell with floor below, a cell inside the margins, or a cell at the lower
-    // edge of the image.
-    void update(
-        const Team& team, const Parts& in, int label, int first, int top, int level, bool sure
-    ) const {
-        team.atomic_min(in.first + label, first);
-        team.atomic_max(in.top + label, top);
-        if (level) team.atomic_add(in.level + label, level);
-        if (sure) in.sizes[label] = 1;
-    }
-
     // Whether the side of a surface above floor is steep; it rises by `rises` and recedes by `goes`
     // [depth units]. `outer` is true in the margins of the image.
     bool is_steep(int rises, int goes, bool outer) const {
@@ -465,7 +453,8 @@ struct Surfaces {
         return outer ? rises > away : 3 * rises > goes;
     }
 
-    // Measures all surfaces. Ends in a sync.
+    // Measures all surfaces. `sizes` becomes 1 for a surface that has a lowest cell with floor below, a
+    // cell inside the margins, or a cell at the lower edge of the image. Ends in a sync.
     void measure(const Team& team, const Parts& in, int runs, const BitRows& has) const {
         for (int run = team.rank; run < runs; run += team.size) in.sizes[run] = 0;
         team.sync();
@@ -491,8 +480,11 @@ struct Surfaces {
                         steep += lowest & (int)is_steep(rises, goes, margins.has(c));
                     }
                 const bool inner = begin < columns - margins.width && end > margins.width;
-                update(team, in, own, k + begin, top, 2 * pairs - 3 * steep,
-                        pairs || r + 1 == rows || inner);
+                const int level = 2 * pairs - 3 * steep;
+                team.atomic_min(in.first + own, k + begin);
+                team.atomic_max(in.top + own, top);
+                if (level) team.atomic_add(in.level + own, level);
+                if (pairs || r + 1 == rows || inner) in.sizes[own] = 1;
             }
         }
         team.sync();
