@@ -11,7 +11,7 @@ struct Contraction {
     int count;
     int* between;    // (count, count) weights, symmetric, 0 on the diagonal; modified
     Key* best;       // scratch, (count): best key of each node's edges
-    Key* turns;      // scratch, (2 * TURNS): best keys, see `contract`
+    Key* turns;      // scratch, (2 * TURNS): best keys, see `run`
     int* group;      // result, (count): the smallest node of each node's group
 
     // Key by which edges are compared, smallest first: larger weights first, then by the pair of nodes.
@@ -30,31 +30,10 @@ struct Contraction {
         return key(largest, one, with);
     }
 
-    // Number of words of fast memory, aligned to 16 bytes, that hold all arrays but the result.
-    int words() const { return 2 * (2 * TURNS + count) + count * count + count; }
-
-    // Runs the contraction. `fast` has `room` words of fast memory and is used if that is enough. Ends
-    // in a sync.
-    void run(const Team& team, int* fast, int room) const {
-        Contraction own = *this;
-        const bool fits = words() <= room;
-        if (fits) {
-            own.turns = (Key*)fast;
-            own.best = own.turns + 2 * TURNS;
-            own.group = (int*)(own.best + count);
-            own.between = own.group + count;
-            for (int i = team.rank; i < count * count; i += team.size) own.between[i] = between[i];
-        }
-        own.contract(team);
-        if (!fits) return;
-        for (int node = team.rank; node < count; node += team.size) group[node] = own.group[node];
-        team.sync();
-    }
-
-    // Each turn merges two nodes and computes the best key of the next turn. `turns` consists of
+    // Runs the contraction. Each turn merges two nodes and computes the best key of the next turn. `turns` consists of
     // two ring buffers of TURNS keys, indexed by turn: the best key of all nodes, and the best key
     // of the node that grew in the turn before. Ends in a sync.
-    void contract(const Team& team) const {
+    void run(const Team& team) const {
         if (team.rank == 0) {
             for (int k = 0; k < 2 * TURNS; ++k) turns[k] = ~0ull;
         }

@@ -80,19 +80,7 @@ struct Creases {
         }
     };
 
-    // Whether a cell of a block, or a cell at most `reach` cells away from it, is to be processed. All
-    // lanes of the warp must call it.
-    bool is_used(const Warp& warp, int top, int bottom, int left, int right) const {
-        const int from = left - reach < 0 ? 0 : (left - reach) / BitRows::WIDTH;
-        const int to = (right + reach) / BitRows::WIDTH;
-        const int last = bottom + reach < grid.rows ? bottom + reach : grid.rows;
-        unsigned some = 0;
-        for (int r = (top < reach ? 0 : top - reach) + warp.lane; r < last; r += Warp::size)
-            for (int w = from; w <= to && w < kept.words; ++w) some |= kept[kept.at(r, w)];
-        return warp.ballot(some != 0);
-    }
-
-    // Smooths the depths twice in one pass down strips of columns, at all cells whose result is used.
+    // Smooths the depths twice in one pass down strips of columns.
     void smoothed(const Team& team) const {
         enum { INNER = Warp::size - 2 * HALO };
         const Warp warp(team);
@@ -103,8 +91,7 @@ struct Creases {
             const bool inside = c >= 0 && c < grid.columns;
             const bool own = inside && warp.lane >= HALO && warp.lane < Warp::size - HALO;
             const int begin = piece / strips * SEGMENT, stop = begin + SEGMENT;
-            const int end = stop < grid.rows ? stop : grid.rows, left = piece % strips * INNER;
-            if (!is_used(warp, begin, end, left, left + INNER - 1)) continue;
+            const int end = stop < grid.rows ? stop : grid.rows;
             Window measured, once;
             for (int k = 0; k < 3; ++k) {
                 measured.left[k] = measured.own[k] = measured.right[k] = NONE;
@@ -127,46 +114,6 @@ struct Creases {
                     near_before = near_last;
                     near_last = near[k];
                 }
-            }
-        }
-        team.sync();
-    }
-
-    // Finds the cells where depth bends more than the limit. A warp processes one word at a time.
-    void find(const Team& team) const {
-        const Warp warp(team);
-        const int words = found.words, count = grid.rows * words;
-        found.clear_padding(team);
-        for (int first = warp.index; first < count; first += AHEAD * warp.count) {
-            int here[AHEAD], before[AHEAD], after[AHEAD], up[AHEAD], down[AHEAD], d[AHEAD];
-            bool on[AHEAD];
-            for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * warp.count < count ? first + k * warp.count : first;
-                const int r = i / words, c = i % words * BitRows::WIDTH + warp.lane;
-                on[k] = kept[kept.at(r, i % words)] >> warp.lane & 1;
-                const int row = on[k] ? r : 0, column = on[k] ? c : 0;
-                const int at = grid.row(row) + column, none = grid.row(-1);
-                const bool inside = row >= reach && row + reach < grid.rows;
-                here[k] = smooth[at];
-                before[k] = smooth[at - reach];
-                after[k] = smooth[at + reach];
-                up[k] = smooth[inside ? at - reach * grid.stride : none];
-                down[k] = smooth[inside ? at + reach * grid.stride : none];
-                d[k] = z[row * grid.columns + column];
-            }
-            int near[AHEAD], limit[AHEAD];
-            for (int k = 0; k < AHEAD; ++k) {
-                near[k] = steps[d[k]];
-                limit[k] = limits[d[k]];
-            }
-            for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * warp.count;
-                const int most = reach * near[k] << BITS;
-                const int deep = limit[k] << (BITS + 1);
-                const bool bent = bends(here[k], before[k], after[k], most, deep) |
-                                  bends(here[k], up[k], down[k], most, deep);
-                const unsigned crease = warp.ballot(on[k] & bent);
-                if (i < count && warp.lane == 0) found[found.at(i / words, i % words)] = crease;
             }
         }
         team.sync();
@@ -208,31 +155,28 @@ struct Creases {
             smooth_row(here - wide, here, here + wide, step + grid.row(r), smooth + grid.row(r), n);
         }
     }
-
-    void find(const Team&) const {
-        unsigned char bent[BitRows::WIDTH];
-        for (int i = 0; i < found.count(); ++i) {
-            found[i] = 0;
-            if (!kept[i]) continue;
-            const int r = found.row(i), c = found.column(i), left = grid.columns - c;
-            const int n = left < BitRows::WIDTH ? left : (int)BitRows::WIDTH;
-            const int at = grid.row(r) + c, none = grid.row(-1) + c;
-            // Vertical bends are measured only if there are rows at that distance above and below.
-            const bool inside = r >= reach && r + reach < grid.rows;
-            const int up = inside ? at - reach * grid.stride : none;
-            const int down = inside ? at + reach * grid.stride : none;
-            const int* depths = z + r * grid.columns + c;
-            const int *here = smooth + at, *above = smooth + up, *below = smooth + down;
-            JAXDET_VECTORIZE
-            for (int k = 0; k < n; ++k) {
-                const int most = reach * step[at + k] << BITS, deep = limits[depths[k]] << (BITS + 1);
-                bent[k] = bends(here[k], here[k - reach], here[k + reach], most, deep) |
-                          bends(here[k], above[k], below[k], most, deep);
-            }
-            found[i] = BitRows::packed(bent, 0, n) & kept[i];
-        }
-    }
 #endif
+
+    // Finds the cells where depth bends more than the limit. Vertical bends are measured only if there
+    // are rows at that distance above and below.
+    void find(const Team& team) const {
+        const Warp warp(team);
+        for (int i = warp.index; i < found.count(); i += warp.count) {
+            const int r = found.row(i), c = found.column(i), at = grid.row(r) + c, away = reach;
+            const bool inside = r >= away && r + away < grid.rows;
+            const int none = grid.row(-1) + c, over = away * grid.stride;
+            const int *here = smooth + at, *up = smooth + (inside ? at - over : none);
+            const int *down = smooth + (inside ? at + over : none), *depths = z + r * grid.columns + c;
+            const int *const steps = this->steps, *const limits = this->limits;
+            const unsigned bent = !kept[i] ? 0 : warp.bits(grid.columns - c, [=](int k) {
+                const int most = away * steps[depths[k]] << BITS, deep = limits[depths[k]] << (BITS + 1);
+                return bends(here[k], here[k - away], here[k + away], most, deep) |
+                       bends(here[k], up[k], down[k], most, deep);
+            });
+            if (warp.lane == 0) found[i] = bent & kept[i];
+        }
+        team.sync();
+    }
 
     // Removes 8-connected components of fewer than `least` cells. Ends in a sync.
     void without_small(const Team& team) {

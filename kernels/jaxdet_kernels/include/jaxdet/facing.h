@@ -37,8 +37,6 @@ struct Facing {
     // used by `Evidence`.
     enum { ROWS, STEPS, COLUMNS, DISTANCE, SUMS, COUNT_BITS = 21, STEP_SHIFT = 20 };
     enum { MOST_BETWEEN = 11, RING = 16, SLOPE = 10, FAR = 1 << 30 };
-    // Number of cells that a thread loads at a time on CUDA.
-    enum { AHEAD = Warp::size > 1 ? 8 : 1 };
     // Run of cells with the same label in a line, i.e. a row or a column. `before` is the number of free
     // cells of the line before the first cell of the run; `after` is their number up to its last cell.
     struct Run {
@@ -75,31 +73,24 @@ struct Facing {
         Run run = {-1, 0, -2, 0, 0, 0, 0, 0, 0};
         int runs = 0, frees = 0;
         for (int i = has.at(line, 0); i < has.at(line + 1, 0); ++i) {
-            const unsigned all = has[i], open = free[i];
+            const unsigned open = free[i];
             const auto frees_before = [&](unsigned bit) {
                 return frees + BitRows::popcount(open & (bit - 1));
             };
-            for (int start = 0; all >> start; start += AHEAD) {
-                const unsigned some = all >> start & ((1 << AHEAD) - 1);
-                const int first = has.column(i) + start;
-                int word[AHEAD];
-                for (int n = 0; n < AHEAD; ++n) word[n] = some >> n & 1 ? cell[(first + n) * step] : 0;
-                for (int n = 0; n < AHEAD; ++n) {
-                    if (!(some >> n & 1)) continue;
-                    const Packed at(word[n]);
-                    const int k = first + n, label = at.label(), z = at.z();
-                    const unsigned bit = 1u << (start + n);
-                    if (k != run.last + 1 || label != run.label) {
-                        if (run.label >= 0) meet(team, ring, runs++, run, place);
-                        run = {label, k, k, frees_before(bit), 0, z, z, z, z};
-                    }
-                    run.last = k;
-                    run.after = frees_before(bit) + ((open & bit) != 0);
-                    run.z_last = z;
-                    run.nearest = z < run.nearest ? z : run.nearest;
-                    run.farthest = z > run.farthest ? z : run.farthest;
+            for (unsigned rest = has[i]; rest; rest &= rest - 1) {
+                const int bit_of = BitRows::lowest(rest), k = has.column(i) + bit_of;
+                const Packed at(cell[k * step]);
+                const int label = at.label(), z = at.z();
+                const unsigned bit = 1u << bit_of;
+                if (k != run.last + 1 || label != run.label) {
+                    if (run.label >= 0) meet(team, ring, runs++, run, place);
+                    run = {label, k, k, frees_before(bit), 0, z, z, z, z};
                 }
-                if (start + AHEAD == BitRows::WIDTH) break;
+                run.last = k;
+                run.after = frees_before(bit) + ((open & bit) != 0);
+                run.z_last = z;
+                run.nearest = z < run.nearest ? z : run.nearest;
+                run.farthest = z > run.farthest ? z : run.farthest;
             }
             frees += BitRows::popcount(open);
         }

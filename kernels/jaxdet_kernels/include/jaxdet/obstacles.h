@@ -90,8 +90,7 @@ struct Obstacles {
         contours.find(team, listed);
         contours.list(team);
         find_evidence(team, contours);
-        const Contraction contraction = {counts[WHOLE], between, best, turns, group};
-        contraction.run(team, fast, FAST);
+        Contraction{counts[WHOLE], between, best, turns, group}.run(team);
         number_groups(team, counts[WHOLE], counts + GROUPS);
         last.join(team, counts[GROUPS], whole, counts[WHOLE], number);
         straighten(team, contours);

@@ -17,7 +17,6 @@ struct Surfaces {
         MOST = 512,  // number of labels; cells of further surfaces get the label -1
         UNSEEN = 0x7fffffff,
         AHEAD = 4,  // number of cells that a thread loads at a time on CUDA
-        FEW = 2,    // the same for loops that load more values per cell
     };
     // Indices of settings; lengths are in depth units. NEAREST and FARTHEST: depth range of surfaces.
     // CREASE_CELLS, MIN_CELLS and CREASE_MARGIN: radius, minimum size and dilation of creases [cells].
@@ -123,134 +122,73 @@ struct Surfaces {
     // Transforms and classifies all cells; returns whether the depth of any of this thread's cells is
     // in range.
     bool start(const Team& team, const Parts& in) const {
-        int some = 0;
         const FloorFrame frame(floor);
-        const int slope = noise(frame, settings[NOISE]);
         in.grid.frame(team, in.depth, Creases::NONE);
-#if defined(__CUDA_ARCH__)
-        const Warp warp(team);
-        const int words = in.kept.words, all = rows * words;
-        in.kept.clear_padding(team);
-        for (int first = warp.index * AHEAD; first < all; first += warp.count * AHEAD) {
-            int at[AHEAD], a[AHEAD], b[AHEAD], d[AHEAD], rise[AHEAD];
-            for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k, c = i % words * BitRows::WIDTH + warp.lane;
-                at[k] = i < all && c < columns ? i / words * columns + c : -1;
-                const int there = at[k] < 0 ? 0 : at[k];
-                a[k] = x[there], b[k] = y[there], d[k] = z[there];
-            }
-            for (int k = 0; k < AHEAD; ++k) rise[k] = higher(rises[d[k]], d[k] * slope >> SLOPE_BITS);
-            for (int k = 0; k < AHEAD; ++k) {
-                const bool on = at[k] >= 0 && place(frame, frame.has_ramp(), at[k], a[k], b[k], d[k],
-                                                    rise[k]);
-                some |= (at[k] >= 0) & in_range(d[k]);
-                const unsigned those = warp.ballot(on);
-                const int i = first + k;
-                if (warp.lane == 0 && i < all) in.kept[in.kept.at(i / words, i % words)] = those;
-            }
-        }
-        team.sync();
-#else
+#if !defined(__CUDA_ARCH__)
         in.grid.frame(team, in.other, Creases::NONE);
         for (int r = 0; r < rows; ++r) {
-            // has_ramp is a compile-time constant in each call, so the loop has no branch.
-            some |= frame.has_ramp() ? place_row(in, frame, true, slope, r)
-                                     : place_row(in, frame, false, slope, r);
-            for (int i = in.kept.at(r, 0); i < in.kept.at(r + 1, 0); ++i) {
-                const int c = in.kept.column(i);
-                in.kept[i] = BitRows::packed(keep + r * columns + c, 0, columns - c);
+            int* const depth = in.depth + in.grid.row(r);
+            for (int c = 0; c < columns; ++c) {
+                const int d = z[r * columns + c];
+                depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
             }
         }
 #endif
-        return some;
+        return frame.has_ramp() ? place_all(team, in.kept, frame, true)
+                                : place_all(team, in.kept, frame, false);
     }
 
-#if !defined(__CUDA_ARCH__)
-    // Transforms and classifies a row of cells; returns whether the depth of any is in range.
-    __attribute__((always_inline)) int place_row(
-        const Parts& in, const FloorFrame& frame, bool has_ramp, int slope, int r
+    // The same; `has_ramp` is a compile-time constant in each call, so the loop has no branch.
+    __attribute__((always_inline)) bool place_all(
+        const Team& team, const BitRows& kept, const FloorFrame& frame, bool has_ramp
     ) const {
-        const int first = r * columns;
-        int* const depth = in.depth + in.grid.row(r);
+        const Warp warp(team);
+        const Surfaces own = *this;
+        const int slope = noise(frame, settings[NOISE]);
         int some = 0;
-        JAXDET_VECTORIZE
-        for (int c = 0; c < columns; ++c) {
-            const int k = first + c, d = z[k];
-            place(frame, has_ramp, k, x[k], y[k], d, higher(rises[d], d * slope >> SLOPE_BITS));
-            depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
-            some |= in_range(d);
+        for (int i = warp.index; i < kept.count(); i += warp.count) {
+            const int c = kept.column(i), first = kept.row(i) * columns + c;
+            const unsigned on = warp.bits(columns - c, [&some, own, frame, has_ramp, slope, first](int n) {
+                const int k = first + n, d = own.z[k];
+                some |= own.in_range(d);
+                const int rise = higher(own.rises[d], d * slope >> SLOPE_BITS);
+                return own.place(frame, has_ramp, k, own.x[k], own.y[k], d, rise);
+            });
+            if (warp.lane == 0) kept[i] = on;
         }
+        team.sync();
         return some;
     }
-#endif
 
     static bool is_near(int z_one, int z_other, int step_one, int step_other) {
         return Creases::apart(z_one, z_other) <= (step_one < step_other ? step_one : step_other);
     }
 
+    bool is_linked(int one, int other) const {
+        return is_near(z[one], z[other], steps[z[one]], steps[z[other]]);
+    }
+
     // Finds the first cells of runs of linked cells, and the cells linked to the one above.
-#if defined(__CUDA_ARCH__)
-    void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up,
-                    const Parts&) const {
-        // Each lane tests whether a word has cells; then all lanes process FEW such words at a time.
+    void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up) const {
         const Warp warp(team);
-        for (int first = warp.index * Warp::size; first < on.count();
-             first += warp.count * Warp::size) {
-            const int own = first + warp.lane;
+        const Surfaces own = *this;
+        for (int i = warp.index; i < on.count(); i += warp.count) {
             unsigned goes_on = 0, linked = 0;
-            for (unsigned rest = warp.ballot(own < on.count() && on[own]); rest;) {
-                int word[FEW], here[FEW], before[FEW], above[FEW];
-                for (int k = 0; k < FEW; ++k, rest &= rest - 1) {
-                    word[k] = rest ? first + BitRows::lowest(rest) : -1;
-                    const int c = on.column(word[k]) + warp.lane;
-                    const bool there = word[k] >= 0 && c < columns;
-                    const int at = there ? on.row(word[k]) * columns + c : 0;
-                    here[k] = z[at];
-                    before[k] = z[at > 0 ? at - 1 : 0];
-                    above[k] = z[at < columns ? 0 : at - columns];
-                }
-                int step[FEW], step_before[FEW], step_above[FEW];
-                for (int k = 0; k < FEW; ++k) {
-                    step[k] = steps[here[k]];
-                    step_before[k] = steps[before[k]];
-                    step_above[k] = steps[above[k]];
-                }
-                for (int k = 0; k < FEW; ++k) {
-                    const bool in_row = is_near(here[k], before[k], step[k], step_before[k]);
-                    const bool below = is_near(here[k], above[k], step[k], step_above[k]);
-                    const unsigned those_in_row = warp.ballot(in_row), those = warp.ballot(below);
-                    if (word[k] == own) goes_on = those_in_row, linked = those;
-                }
+            if (on[i]) {
+                const int r = on.row(i), c = on.column(i), at = r * columns + c, from = c ? 0 : 1;
+                goes_on = warp.bits(columns - c - from, [own, at, from](int k) {
+                    return own.is_linked(at + from + k, at + from + k - 1);
+                }) << from;
+                linked = !r ? 0 : warp.bits(columns - c, [own, at](int k) {
+                    return own.is_linked(at + k, at + k - own.columns);
+                });
             }
-            if (own >= on.count()) continue;
-            starts[own] = on[own] & ~(on.before(own) & goes_on);
-            up[own] = on[own] & on.above(own) & linked;
+            if (warp.lane) continue;
+            starts[i] = on[i] & ~(on.before(i) & goes_on);
+            up[i] = on[i] & on.above(i) & linked;
         }
         team.sync();
     }
-#else
-    void find_links(const Team&, const BitRows& on, const BitRows& starts, const BitRows& up,
-                    const Parts& in) const {
-        unsigned char row[Grid::MOST_COLUMNS];
-        for (int r = 0; r < rows; ++r) {
-            const int at = in.grid.row(r), over = r ? r - 1 : 0, at_over = in.grid.row(over);
-            const int *own = z + r * columns, *above = z + over * columns;
-            row[0] = is_near(own[0], above[0], in.step[at], in.step[at_over]) << 1;
-            const int *step = in.step + at, *step_above = in.step + at_over;
-            JAXDET_VECTORIZE
-            for (int c = 1; c < columns; ++c)
-                row[c] = is_near(own[c], own[c - 1], step[c], step[c - 1]) |
-                         is_near(own[c], above[c], step[c], step_above[c]) << 1;
-            for (int i = on.at(r, 0); i < on.at(r + 1, 0); ++i) {
-                const int c = on.column(i);
-                const unsigned goes_on = BitRows::packed(row + c, 0, columns - c);
-                const unsigned linked = BitRows::packed(row + c, 1, columns - c);
-                starts[i] = on[i] & ~(on.before(i) & goes_on);
-                up[i] = on[i] & on.above(i) & linked;
-            }
-        }
-    }
-#endif
 
     // Links cells of a row or a column across holes (unmeasured cells), if depth is continuous.
     void link_across_holes(const Team& team, const Runs& runs) const {
@@ -285,8 +223,7 @@ struct Surfaces {
         for (int n = 1; n < end; ++n) {
             const int there = cell + n * away;
             if (!z[there]) continue;
-            const bool near = n > 1 && is_near(z[cell], z[there], steps[z[cell]], steps[z[there]]);
-            return near ? n : 0;
+            return n > 1 && is_linked(cell, there) ? n : 0;
         }
         return 0;
     }
@@ -553,9 +490,7 @@ struct Surfaces {
         const BitRows crease = creases.run(team);
         for (int i = team.rank; i < on.count(); i += team.size) on[i] = kept[i] & ~crease[i];
         team.sync();
-        starts.clear_padding(team);
-        up.clear_padding(team);
-        find_links(team, on, starts, up, in);
+        find_links(team, on, starts, up);
         Runs runs = in.runs(on, starts);
         const int all = label(team, in, runs, up, up);
         const BitRows has = grow(team, kept, up, on);

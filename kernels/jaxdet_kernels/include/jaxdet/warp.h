@@ -78,14 +78,17 @@ struct Warp {
 
     int max(int value) const { return -min(-value); }
 
-    // Bitmap of the results of a test for i from 0 to 31; a collective call.
-    template <class Test> unsigned bits(Test test) const {
+    // Bitmap of the results of a test for i from 0 to 31, or to n - 1 if that is less; a collective call.
+    template <class Test> unsigned bits(Test test) const { return bits(BitRows::WIDTH, test); }
+    template <class Test> unsigned bits(int n, Test test) const {
 #if defined(__CUDA_ARCH__)
-        return ballot(test(lane));
+        return ballot(lane < n && test(lane));
 #else
         unsigned char holds[BitRows::WIDTH];
-        for (int i = 0; i < BitRows::WIDTH; ++i) holds[i] = test(i);
-        return BitRows::packed(holds, 0, BitRows::WIDTH);
+        n = n < BitRows::WIDTH ? n : (int)BitRows::WIDTH;
+        JAXDET_VECTORIZE
+        for (int i = 0; i < n; ++i) holds[i] = test(i);
+        return BitRows::packed(holds, 0, n);
 #endif
     }
 
