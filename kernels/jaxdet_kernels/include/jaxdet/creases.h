@@ -27,9 +27,9 @@ struct Creases {
     // [depth units].
     const int *steps, *limits;
     const int* z;  // (R, C) depth, 0 = none
-    // Grids of cells with margins of NONE. `smooth` holds the smoothed depths; on the CPU it first holds
-    // the depths with BITS fraction bits. `other` and `step` are used only on the CPU: `other` holds the
-    // depths after the first smoothing, and `step` holds the value of `steps` for each cell.
+    // Grids of cells, with margins of NONE except for `step`. `smooth` holds the smoothed depths; on the
+    // CPU it first holds the depths with BITS fraction bits, and `other` the depths after the first
+    // smoothing. `step` holds the value of `steps` for each cell near those of `kept`.
     int *smooth, *other, *step;
     // Bitmap of the cells to process, and two bitmaps of scratch memory: crease cells, and run starts.
     BitRows kept, found, wide;
@@ -110,7 +110,10 @@ struct Creases {
                     measured.push(depth[k] > 0 ? depth[k] << BITS : (int)NONE);
                     once.push(measured.mean(near_last));
                     const int r = first + k - HALO, twice = once.mean(near_before);
-                    if (own && r >= begin && r < end) smooth[grid.row(r) + c] = twice;
+                    if (own && r >= begin && r < end) {
+                        smooth[grid.row(r) + c] = twice;
+                        step[grid.row(r) + c] = near_before;
+                    }
                     near_before = near_last;
                     near_last = near[k];
                 }
@@ -167,9 +170,9 @@ struct Creases {
             const int none = grid.row(-1) + c, over = away * grid.stride;
             const int *here = smooth + at, *up = smooth + (inside ? at - over : none);
             const int *down = smooth + (inside ? at + over : none), *depths = z + r * grid.columns + c;
-            const int *const steps = this->steps, *const limits = this->limits;
+            const int *const step = this->step + at, *const limits = this->limits;
             const unsigned bent = !kept[i] ? 0 : warp.bits(grid.columns - c, [=](int k) {
-                const int most = away * steps[depths[k]] << BITS, deep = limits[depths[k]] << (BITS + 1);
+                const int most = away * step[k] << BITS, deep = limits[depths[k]] << (BITS + 1);
                 return bends(here[k], here[k - away], here[k + away], most, deep) |
                        bends(here[k], up[k], down[k], most, deep);
             });

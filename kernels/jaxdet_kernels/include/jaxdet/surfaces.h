@@ -16,7 +16,6 @@ struct Surfaces {
     enum {
         MOST = 512,  // number of labels; cells of further surfaces get the label -1
         UNSEEN = 0x7fffffff,
-        AHEAD = 4,  // number of cells that a thread loads at a time on CUDA
     };
     // Indices of settings; lengths are in depth units. NEAREST and FARTHEST: depth range of surfaces.
     // CREASE_CELLS, MIN_CELLS and CREASE_MARGIN: radius, minimum size and dilation of creases [cells].
@@ -45,9 +44,7 @@ struct Surfaces {
     // Scratch memory of a team.
     struct Parts {
         Grid grid;
-        // Grids of cells. `depth` holds smoothed depths. `other` and `step` are used only on the CPU,
-        // see `Creases`.
-        int *depth, *other, *step;
+        int *depth, *other, *step;  // grids of cells, see `Creases`
         // `parent` and `label` have a value per run. The others have a value per surface, at the index
         // of its root run: number of cells; first cell; top; and `level`, the sum over those of its
         // lowest cells that have floor below, of 2 per cell and of -3 per cell whose side is steep.
@@ -146,11 +143,11 @@ struct Surfaces {
         const Surfaces own = *this;
         const int slope = noise(frame, settings[NOISE]);
         int some = 0;
+        for (int k = team.rank; k < rows * columns; k += team.size) some |= in_range(z[k]);
         for (int i = warp.index; i < kept.count(); i += warp.count) {
             const int c = kept.column(i), first = kept.row(i) * columns + c;
-            const unsigned on = warp.bits(columns - c, [&some, own, frame, has_ramp, slope, first](int n) {
+            const unsigned on = warp.bits(columns - c, [=](int n) {
                 const int k = first + n, d = own.z[k];
-                some |= own.in_range(d);
                 const int rise = higher(own.rises[d], d * slope >> SLOPE_BITS);
                 return own.place(frame, has_ramp, k, own.x[k], own.y[k], d, rise);
             });
@@ -164,23 +161,21 @@ struct Surfaces {
         return Creases::apart(z_one, z_other) <= (step_one < step_other ? step_one : step_other);
     }
 
-    bool is_linked(int one, int other) const {
-        return is_near(z[one], z[other], steps[z[one]], steps[z[other]]);
-    }
-
     // Finds the first cells of runs of linked cells, and the cells linked to the one above.
-    void find_links(const Team& team, const BitRows& on, const BitRows& starts, const BitRows& up) const {
+    void find_links(const Team& team, const Parts& in) const {
+        const BitRows &on = in.on, &starts = in.starts, &up = in.up;
         const Warp warp(team);
-        const Surfaces own = *this;
         for (int i = warp.index; i < on.count(); i += warp.count) {
             unsigned goes_on = 0, linked = 0;
             if (on[i]) {
-                const int r = on.row(i), c = on.column(i), at = r * columns + c, from = c ? 0 : 1;
-                goes_on = warp.bits(columns - c - from, [own, at, from](int k) {
-                    return own.is_linked(at + from + k, at + from + k - 1);
+                const int r = on.row(i), c = on.column(i), over = in.grid.stride, from = c ? 0 : 1;
+                const int *here = z + r * columns + c, *above = here - columns;
+                const int* step = in.step + in.grid.row(r) + c;
+                goes_on = warp.bits(columns - c - from, [=](int k) {
+                    return is_near(here[from + k], here[from + k - 1], step[from + k], step[from + k - 1]);
                 }) << from;
-                linked = !r ? 0 : warp.bits(columns - c, [own, at](int k) {
-                    return own.is_linked(at + k, at + k - own.columns);
+                linked = !r ? 0 : warp.bits(columns - c, [=](int k) {
+                    return is_near(here[k], above[k], step[k], step[k - over]);
                 });
             }
             if (warp.lane) continue;
@@ -223,7 +218,8 @@ struct Surfaces {
         for (int n = 1; n < end; ++n) {
             const int there = cell + n * away;
             if (!z[there]) continue;
-            return n > 1 && is_linked(cell, there) ? n : 0;
+            const bool near = n > 1 && is_near(z[cell], z[there], steps[z[cell]], steps[z[there]]);
+            return near ? n : 0;
         }
         return 0;
     }
@@ -259,22 +255,12 @@ struct Surfaces {
         team.sync();
 #if defined(__CUDA_ARCH__)
         const Warp warp(team);
-        const int used = on.words, cells = rows * used;
-        for (int first = warp.index; first < cells; first += AHEAD * warp.count) {
-            int own[AHEAD];
-            for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * warp.count, j = on.at(i / used, i % used);
-                const bool there = i < cells && on[j] >> warp.lane & 1;
-                own[k] = there ? in.label[runs.at(j, warp.lane)] : -1;
-            }
-            for (int k = 0; k < AHEAD; ++k) {
-                const int i = first + k * warp.count;
-                if (i >= cells) break;
-                const int c = i % used * BitRows::WIDTH + warp.lane;
-                if (c < columns) label_out[i / used * columns + c] = own[k];
-                const unsigned those = warp.ballot(own[k] >= 0);
-                if (warp.lane == 0) has[on.at(i / used, i % used)] = those;
-            }
+        for (int i = warp.index; i < count; i += warp.count) {
+            const int c = on.column(i) + warp.lane;
+            const int own = on[i] >> warp.lane & 1 ? in.label[runs.at(i, warp.lane)] : -1;
+            if (c < columns) label_out[on.row(i) * columns + c] = own;
+            const unsigned those = warp.ballot(own >= 0);
+            if (warp.lane == 0) has[i] = those;
         }
 #else
         for (int i = 0; i < count; ++i) {
@@ -490,7 +476,7 @@ struct Surfaces {
         const BitRows crease = creases.run(team);
         for (int i = team.rank; i < on.count(); i += team.size) on[i] = kept[i] & ~crease[i];
         team.sync();
-        find_links(team, on, starts, up);
+        find_links(team, in);
         Runs runs = in.runs(on, starts);
         const int all = label(team, in, runs, up, up);
         const BitRows has = grow(team, kept, up, on);
