@@ -27,9 +27,9 @@ struct Creases {
     // [depth units].
     const int *steps, *limits;
     const int* z;  // (R, C) depth, 0 = none
-    // Grids of cells, with margins of NONE except for `step`. `smooth` holds the smoothed depths; on the
-    // CPU it first holds the depths with BITS fraction bits, and `other` the depths after the first
-    // smoothing. `step` holds the value of `steps` for each cell near those of `kept`.
+    // Grids of cells. `smooth` holds the smoothed depths, with margins of NONE. `other` and `step` are used
+    // only on the CPU, in rows near kept cells: the depths after the first smoothing, with margins of
+    // NONE, and the value of `steps` for each cell.
     int *smooth, *other, *step;
     // Bitmap of the cells to process, and two bitmaps of scratch memory: crease cells, and run starts.
     BitRows kept, found, wide;
@@ -110,10 +110,7 @@ struct Creases {
                     measured.push(depth[k] > 0 ? depth[k] << BITS : (int)NONE);
                     once.push(measured.mean(near_last));
                     const int r = first + k - HALO, twice = once.mean(near_before);
-                    if (own && r >= begin && r < end) {
-                        smooth[grid.row(r) + c] = twice;
-                        step[grid.row(r) + c] = near_before;
-                    }
+                    if (own && r >= begin && r < end) smooth[grid.row(r) + c] = twice;
                     near_before = near_last;
                     near_last = near[k];
                 }
@@ -132,8 +129,9 @@ struct Creases {
     }
 
     // Smooths the rows near kept cells twice; `other` holds the result of the first pass.
-    void smoothed(const Team&) const {
+    void smoothed(const Team& team) const {
         const int wide = grid.stride, n = grid.columns;
+        grid.frame(team, other, NONE);
         int used[Grid::MOST_COLUMNS];
         for (int r = 0; r < grid.rows; ++r) {
             used[r] = 0;
@@ -146,10 +144,16 @@ struct Creases {
             return some;
         };
         for (int r = 0; r < grid.rows; ++r) {
+            if (!is_used(r, reach + 2)) continue;
+            const int at = grid.row(r), *depths = z + r * n;
+            for (int c = 0; c < n; ++c) {
+                smooth[at + c] = depths[c] > 0 ? depths[c] << BITS : (int)NONE;
+                step[at + c] = steps[depths[c]];
+            }
+        }
+        for (int r = 0; r < grid.rows; ++r) {
             if (!is_used(r, reach + 1)) continue;
-            const int at = grid.row(r);
-            for (int c = 0; c < n; ++c) step[at + c] = steps[z[r * n + c]];
-            const int* here = smooth + at;
+            const int at = grid.row(r), *here = smooth + at;
             smooth_row(here - wide, here, here + wide, step + at, other + at, n);
         }
         for (int r = 0; r < grid.rows; ++r) {
@@ -170,9 +174,9 @@ struct Creases {
             const int none = grid.row(-1) + c, over = away * grid.stride;
             const int *here = smooth + at, *up = smooth + (inside ? at - over : none);
             const int *down = smooth + (inside ? at + over : none), *depths = z + r * grid.columns + c;
-            const int *const step = this->step + at, *const limits = this->limits;
+            const int *const steps = this->steps, *const limits = this->limits;
             const unsigned bent = !kept[i] ? 0 : warp.bits(grid.columns - c, [=](int k) {
-                const int most = away * step[k] << BITS, deep = limits[depths[k]] << (BITS + 1);
+                const int most = away * steps[depths[k]] << BITS, deep = limits[depths[k]] << (BITS + 1);
                 return bends(here[k], here[k - away], here[k + away], most, deep) |
                        bends(here[k], up[k], down[k], most, deep);
             });
@@ -239,6 +243,7 @@ struct Creases {
     // Returns the bitmap of crease cells, including those that are not in `kept`. All threads of the team
     // must call it after a sync. Ends in a sync.
     BitRows run(const Team& team) {
+        grid.frame(team, smooth, NONE);
         smoothed(team);
         find(team);
         without_small(team);

@@ -84,14 +84,12 @@ struct Surfaces {
         }
     };
 
-    // Transforms the cell at (a, b, d) to the floor frame and classifies it; returns whether it is
-    // kept. Cells no higher than `rise` are floor.
-    __attribute__((always_inline)) bool place(
-        const FloorFrame& frame, bool has_ramp, int k, int a, int b, int d, int rise
-    ) const {
-        const int ahead = frame.forward(a, b, d);
+    // Transforms cell k to the floor frame and classifies it; returns whether it is kept. Cells no higher
+    // than `rise` are floor.
+    __attribute__((always_inline)) bool place(const FloorFrame& frame, int k, int rise) const {
+        const int a = x[k], b = y[k], d = z[k], ahead = frame.forward(a, b, d);
         int high = frame.level(a, b, d);
-        if (has_ramp) high -= frame.rise(ahead);
+        if (frame.has_ramp()) high -= frame.rise(ahead);
         const bool above = high > rise;
         const bool below = (high <= settings[HIGHEST]) | !frame.valid;
         const bool on = (d >= settings[NEAREST]) & (d <= settings[FARTHEST]) & above & below;
@@ -117,39 +115,18 @@ struct Surfaces {
     bool in_range(int d) const { return (d >= settings[NEAREST]) & (d <= settings[IN_RANGE]); }
 
     // Transforms and classifies all cells; returns whether the depth of any of this thread's cells is
-    // in range.
-    bool start(const Team& team, const Parts& in) const {
-        const FloorFrame frame(floor);
-        in.grid.frame(team, in.depth, Creases::NONE);
-#if !defined(__CUDA_ARCH__)
-        in.grid.frame(team, in.other, Creases::NONE);
-        for (int r = 0; r < rows; ++r) {
-            int* const depth = in.depth + in.grid.row(r);
-            for (int c = 0; c < columns; ++c) {
-                const int d = z[r * columns + c];
-                depth[c] = d > 0 ? d << Creases::BITS : (int)Creases::NONE;
-            }
-        }
-#endif
-        return frame.has_ramp() ? place_all(team, in.kept, frame, true)
-                                : place_all(team, in.kept, frame, false);
-    }
-
-    // The same; `has_ramp` is a compile-time constant in each call, so the loop has no branch.
-    __attribute__((always_inline)) bool place_all(
-        const Team& team, const BitRows& kept, const FloorFrame& frame, bool has_ramp
-    ) const {
+    // in range. Ends in a sync.
+    bool start(const Team& team, const BitRows& kept) const {
         const Warp warp(team);
-        const Surfaces own = *this;
+        const FloorFrame frame(floor);
         const int slope = noise(frame, settings[NOISE]);
         int some = 0;
-        for (int k = team.rank; k < rows * columns; k += team.size) some |= in_range(z[k]);
         for (int i = warp.index; i < kept.count(); i += warp.count) {
             const int c = kept.column(i), first = kept.row(i) * columns + c;
-            const unsigned on = warp.bits(columns - c, [=](int n) {
-                const int k = first + n, d = own.z[k];
-                const int rise = higher(own.rises[d], d * slope >> SLOPE_BITS);
-                return own.place(frame, has_ramp, k, own.x[k], own.y[k], d, rise);
+            const unsigned on = warp.bits(columns - c, [=, &some](int n) {
+                const int k = first + n, d = z[k];
+                some |= in_range(d);
+                return place(frame, k, higher(rises[d], d * slope >> SLOPE_BITS));
             });
             if (warp.lane == 0) kept[i] = on;
         }
@@ -168,14 +145,15 @@ struct Surfaces {
         for (int i = warp.index; i < on.count(); i += warp.count) {
             unsigned goes_on = 0, linked = 0;
             if (on[i]) {
+                const int* const steps = this->steps;
                 const int r = on.row(i), c = on.column(i), over = in.grid.stride, from = c ? 0 : 1;
                 const int *here = z + r * columns + c, *above = here - columns;
-                const int* step = in.step + in.grid.row(r) + c;
+                
                 goes_on = warp.bits(columns - c - from, [=](int k) {
-                    return is_near(here[from + k], here[from + k - 1], step[from + k], step[from + k - 1]);
+                    return is_near(here[from + k], here[from + k - 1], steps[here[from + k]], steps[here[from + k - 1]]);
                 }) << from;
                 linked = !r ? 0 : warp.bits(columns - c, [=](int k) {
-                    return is_near(here[k], above[k], step[k], step[k - over]);
+                    return is_near(here[k], above[k], steps[here[k]], steps[above[k]]);
                 });
             }
             if (warp.lane) continue;
@@ -467,7 +445,7 @@ struct Surfaces {
         Arena arena{scratch};
         const Parts in(rows, columns, arena);
         const BitRows &kept = in.kept, &on = in.on, &starts = in.starts, &up = in.up;
-        const bool some = team.any(start(team, in));
+        const bool some = team.any(start(team, kept));
         if (team.rank == 0) *has_depth_out = some;
         Creases creases = {
             in.grid, settings[CREASE_CELLS], settings[MIN_CELLS], settings[CREASE_MARGIN],
