@@ -1,19 +1,14 @@
 """Self-check: the stored digest is that of the reference, and kernels that differ are refused."""
 
-import numpy as np
 import pytest
 
 from jaxdet import detect
 from jaxdet.errors import JaxdetError
 from jaxdet.stages import _check
-from jaxdet.types import Frames
 
 
 def test_the_stored_answer_equals_the_reference() -> None:
-    depth, planes = _check.check_frames()
-    number, valid = np.arange(len(depth)), np.ones(len(depth), bool)
-    given = Frames(depth, _check.CALIBRATION, number, number, valid, plane=planes)
-    found = detect(given, backend="reference")
+    found = detect(_check.check_frames(), backend="reference")
     assert found.num_obstacles.tolist() == [2, 2]
     assert _check.digest(found) == _check.ANSWER
 

@@ -100,9 +100,7 @@ def test_find_floors_without_a_configuration_uses_the_defaults():
 
 
 def test_floors_and_detections_without_jax_equal_those_of_the_reference():
-    depth, planes = _check.check_frames()
-    numbers = np.arange(len(depth))
-    given = Frames(depth, _check.CALIBRATION, numbers, numbers, numbers >= 0, plane=planes)
+    given = _check.check_frames()
     expected = find_floors(given, backend="reference")
     assert expected.own.all()
     assert_equal(find_floors(given), expected)

@@ -12,15 +12,15 @@ from jaxdet.config import Config
 from jaxdet.errors import JaxdetError
 from jaxdet.floor.plane import flat_plane, unknown_plane
 from jaxdet.stages import _program
-from jaxdet.types import Calibration, Detections, GroundPlane, Intrinsics
+from jaxdet.types import Calibration, Detections, Frames, GroundPlane, Intrinsics
 
 CALIBRATION = Calibration(Intrinsics(96, 72, 80.0, 80.0, 47.5, 35.5))
 ANSWER = "e76c34648f4635c11c8c13222adcb64c"
 """Digest of the reference's results for :func:`check_frames`, see :func:`digest`."""
 
 
-def check_frames() -> tuple[np.ndarray, GroundPlane]:
-    """Return depth images ``(2, Hd, Wd)`` of a floor, a box and a wall, and the floor priors."""
+def check_frames() -> Frames:
+    """Return two frames of a floor, a box and a wall, with priors of the floor."""
     camera = CALIBRATION.depth
     v, u = np.mgrid[: camera.height, : camera.width]
     below = v - camera.height // 2
@@ -30,7 +30,8 @@ def check_frames() -> tuple[np.ndarray, GroundPlane]:
     both = np.stack([depth, depth[:, ::-1]])
     both[1, ::5, ::3] = 0
     planes = zip(flat_plane(0.4, 0.0, 0.0), unknown_plane(1), strict=True)
-    return both.astype(np.uint16), GroundPlane(*map(np.concatenate, planes))
+    prior, number = GroundPlane(*map(np.concatenate, planes)), np.arange(2)
+    return Frames(both.astype(np.uint16), CALIBRATION, number, number, number >= 0, plane=prior)
 
 
 def digest(found: Detections) -> str:
@@ -55,17 +56,15 @@ def check_kernels(device: Any = None) -> None:
     Raises:
         JaxdetError: The results differ from those of the reference.
     """
-    depth, planes = check_frames()
     if device is None:
         from jaxdet.runtime.calls import device_of_jax
 
         device = device_of_jax(_program.kernels)
-    config = Config()
-    tables = _program.packed(*_program.host_tables(CALIBRATION, config), device)
-    floors = _program.floors(planes, config, CALIBRATION.depth_unit)
-    given, steps = (depth, floors, tables), len(_program.STEPS)
-    rows = _program.run(device, given, steps, keep_work=True)
-    found = _program.detections(rows, _program.Static.of(tables), False, np)
+    frames = check_frames()
+    assert frames.plane is not None
+    given = frames, frames.plane, Config(), len(_program.STEPS)
+    rows, static = _program.run(device, *given, keep_work=True)
+    found = _program.detections(rows, static, False, np)
     if digest(found) != ANSWER:
         versions = f"Warp {wp.__version__}, JAX {version('jax')}"
         raise JaxdetError(

@@ -58,7 +58,7 @@ def _tables(calibration: Calibration, config: Config) -> tuple[jax.Array, Static
     """Return the tables on the device, and the sizes that a program is compiled for."""
     check_kernels()
     device = device_of_jax(kernels)
-    packed = _program.packed(*_program.host_tables(calibration, config), device)
+    packed = _program.packed_tables(calibration, config, str(device))
     return jnp.asarray(packed), Static.of(packed)
 
 

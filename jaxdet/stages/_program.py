@@ -39,6 +39,7 @@ from jaxdet.types import (
     CellLabels,
     Cells,
     Detections,
+    Frames,
     GroundPlane,
     Obstacles,
     Scene,
@@ -185,16 +186,17 @@ class Rows(NamedTuple):
     """Intermediate arrays; on the CPU empty unless they are requested."""
 
 
-def detections(rows: Rows, static: Static, with_cells: bool, xp: Any) -> Detections:
+def detections(
+    rows: Rows, static: Static, with_cells: bool, xp: Any, prior: GroundPlane | None = None
+) -> Detections:
     """Return the results of all steps as detections.
-
-    The field ``prior`` of their scene is None; the caller, which has the prior, sets it.
 
     Args:
         rows: Results of all steps.
         static: Sizes of the program.
         with_cells: Whether to return the labels of cells as well.
         xp: Module of the arrays, NumPy or ``jax.numpy``.
+        prior: Field ``prior`` of the scene; None: the caller sets it.
     """
     record = record_layout()
     fields = {name: record.take(rows.record, name) for name in record.shapes}
@@ -202,7 +204,7 @@ def detections(rows: Rows, static: Static, with_cells: bool, xp: Any) -> Detecti
     fields["has_vertex"] = fields["has_vertex"] != 0
     obstacles = Obstacles(**{k: fields[k] for k in Obstacles._fields if k in fields})
     shape = len(rows.record), MAX_OBSTACLES, static.columns, 2
-    fields |= {"prior": None, "contour": rows.contour.reshape(shape)}
+    fields |= {"prior": prior, "contour": rows.contour.reshape(shape)}
     cells = None
     if with_cells:
         work = work_layout(static.rows, static.columns)
@@ -218,21 +220,31 @@ def detections(rows: Rows, static: Static, with_cells: bool, xp: Any) -> Detecti
     )
 
 
+@lru_cache(maxsize=8)
+def packed_tables(calibration: Calibration, config: Config, device: str) -> np.ndarray:
+    """Return the header and all tables for a Warp device by its name, see :func:`packed`."""
+    return packed(*host_tables(calibration, config), device)
+
+
 def run(
-    device: Any, given: tuple[np.ndarray, np.ndarray, np.ndarray], steps: int, *, keep_work: bool
-) -> Rows:
-    """Run the first steps on a Warp device, without JAX; arrays on the CPU are not copied.
+    device: Any, frames: Frames, prior: GroundPlane, config: Config, steps: int, *, keep_work: bool
+) -> tuple[Rows, Static]:
+    """Run the first steps on a Warp device, without JAX; images on the CPU are not copied.
 
     Args:
         device: Device for which the kernels are loaded.
-        given: Depth images, the result of :func:`floors`, and that of :func:`packed`.
+        frames: Frames with their images on the host.
+        prior: Prior of the floor in each frame.
+        config: Configuration of the method.
         steps: Number of steps.
         keep_work: Whether to return the intermediate arrays.
 
     Returns:
-        NumPy arrays.
+        NumPy arrays, and the sizes of the program.
     """
-    static, batch = Static.of(given[2]), len(given[0])
+    tables = packed_tables(frames.calibration, config, str(device))
+    given = frames.depth, floors(prior, config, frames.calibration.depth_unit), tables
+    static, batch = Static.of(tables), len(frames.depth)
     record, contour, work = static.words(keep_work)
     shapes = (batch, record), (batch, contour), (batch, work) if keep_work else (1, 1)
     arrays = [
@@ -243,7 +255,7 @@ def run(
     size = batch, static.own_words
     scratch = None if wp.get_device(device).is_cpu else wp.empty(size, dtype=INT32, device=device)
     launch(arrays, scratch, 0, steps, static)
-    return Rows(*(array.numpy() for array in arrays[3:]))
+    return Rows(*(array.numpy() for array in arrays[3:])), static
 
 
 def launch(arrays: list[Any], scratch: Any, first: int, end: int, static: Static) -> None:

@@ -146,7 +146,7 @@ struct Surfaces {
             unsigned goes_on = 0, linked = 0;
             if (on[i]) {
                 const int* const steps = this->steps;
-                const int r = on.row(i), c = on.column(i), over = in.grid.stride, from = c ? 0 : 1;
+                const int r = on.row(i), c = on.column(i), from = c ? 0 : 1;
                 const int *here = z + r * columns + c, *above = here - columns;
                 
                 goes_on = warp.bits(columns - c - from, [=](int k) {
