@@ -24,6 +24,12 @@ struct UnionFind {
         return one;
     }
 
+    // Returns the root without changing parents, as is necessary where others write roots to `parent`.
+    int root(int one) const {
+        while (parent[one] != one) one = parent[one];
+        return one;
+    }
+
     void link(const Team& team, int one, int two) const {
         while (true) {
             one = find(one);

@@ -40,7 +40,7 @@ struct SmallSurfaces {
             if (warp.lane == 0) sets.link(team, a, partner);
         }
         team.sync();
-        for (int a = team.rank; a < count; a += team.size) sets.parent[a] = sets.find(a);
+        for (int a = team.rank; a < count; a += team.size) sets.parent[a] = sets.root(a);
         team.sync();
     }
 
