@@ -61,7 +61,7 @@ struct Measures {
     enum { ABREAST = Warp::size > 1 ? 1 : 64 };
     // Measurements of an obstacle; each is a unit of work for a warp. LEFT, RIGHT and NEAR are A, B and
     // C.
-    enum { PLACE, BOX, HEIGHT, LEFT, RIGHT, NEAR, KINDS };
+    enum { PLACE, BOX, LEFT, RIGHT, NEAR, KINDS };
 
     const ObstacleCells& cells;
     const Warp& warp;
@@ -95,8 +95,6 @@ struct Measures {
         const ObstacleCells::Range all = cells.all(number);
         if (all.size() == 0)
             return;
-        else if (kind == HEIGHT)
-            put_height(number, all);
         else if (kind == PLACE)
             put_place(number, all);
         else if (kind == BOX)
@@ -105,9 +103,10 @@ struct Measures {
             put_corner(number, kind, all);
     }
 
-    // Writes the number of cells, and the extremes and sums of their camera coordinates.
+    // Writes the number of cells, the extremes and sums of their camera coordinates, and the extremes of
+    // their heights.
     void put_place(int number, ObstacleCells::Range range) const {
-        Extremes found[3];
+        Extremes found[3], heights;
         long long sum[3] = {0, 0, 0};
         for (int i = range.first + warp.lane; i < range.end; i += warp.size) {
             const int k = cells.cell[i];
@@ -115,7 +114,9 @@ struct Measures {
                 found[j].add(xyz[j][k]);
                 sum[j] += xyz[j][k];
             }
+            heights.add(height[k]);
         }
+        put(heights, bottom_top_out + 2 * number, bottom_top_out + 2 * number + 1);
         for (int j = 0; j < 3; ++j) {
             put(found[j], xyz_min_out + 3 * number + j, xyz_max_out + 3 * number + j);
             const long long total = warp.sum(sum[j]);
@@ -168,14 +169,6 @@ struct Measures {
             }
             for (int i = 0; i < n; ++i) across.add(left[i], right[i]), down.add(top[i], bottom[i]);
         }
-    }
-
-    // Writes the smallest and the largest height of an obstacle's cells.
-    void put_height(int number, ObstacleCells::Range range) const {
-        Extremes found;
-        for (int i = range.first + warp.lane; i < range.end; i += warp.size)
-            found.add(height[cells.cell[i]]);
-        put(found, bottom_top_out + 2 * number, bottom_top_out + 2 * number + 1);
     }
 
     // Smallest and largest of `values`, which are in the order of the sorted cells.

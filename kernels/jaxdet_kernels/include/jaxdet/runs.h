@@ -47,9 +47,6 @@ struct Runs {
     int* before;         // number of runs that begin before each word, and the total
     UnionFind sets;      // components of runs
     int* sizes;          // number of cells of a component, indexed by its root
-    // Fast memory for the parents of `most_near` runs, used if there are at most that many.
-    int* near;
-    int most_near;
 
     // Computes `before`; returns the number of runs. A collective call, after a sync; ends in a sync.
     int count(const Team& team) const {
@@ -66,7 +63,6 @@ struct Runs {
     // call, after a sync; ends in a sync.
     int number(const Team& team) {
         const int count = this->count(team);
-        if (count <= most_near) sets.parent = near;
         for (int run = team.rank; run < count; run += team.size) {
             sets.parent[run] = run;
             sizes[run] = 0;

@@ -49,28 +49,21 @@ struct Surfaces {
         // of its root run: number of cells; first cell; top; and `level`, the sum over those of its
         // lowest cells that have floor below, of 2 per cell and of -3 per cell whose side is steep.
         int *parent, *label, *sizes, *first, *top, *level;
-        // Bitmaps of cells; `before`, the number of runs that begin before each word; and `near`,
-        // memory for the parents of runs. They are in shared memory if they fit there.
+        // Bitmaps of cells, and the number of runs that begin before each word. They are in shared memory
+        // if they fit there.
         BitRows kept, on, starts, up;
-        int *before, *near;
-        int most_near;
+        int* before;
 
         Parts(int rows, int columns, Arena& arena)
             : grid(rows, columns), kept(rows, columns, nullptr), on(kept), starts(kept), up(kept) {
             arena.take(grid.size, depth, other, step);
             arena.take(rows * columns, parent, label, sizes, first, top, level);
             arena.take(5 * kept.count() + 1, before);
-            near = parent;
-            most_near = 0;
             const int count = kept.count();
 #if defined(__CUDA_ARCH__)
             enum { SHARED = 8192 };
             __shared__ int shared[SHARED];
-            if (5 * count < SHARED) {
-                before = shared;
-                near = before + 5 * count + 1;
-                most_near = SHARED - 5 * count - 1;
-            }
+            if (5 * count < SHARED) before = shared;
 #endif
             kept.bits = (unsigned*)(before + count + 1);
             on.bits = kept.bits + count;
@@ -80,7 +73,7 @@ struct Surfaces {
 
         // Runs of the cells of a bitmap, given the bitmap of their first cells.
         Runs runs(const BitRows& cells, const BitRows& firsts) const {
-            return {cells, firsts, before, {parent}, sizes, near, most_near};
+            return {cells, firsts, before, {parent}, sizes};
         }
     };
 
