@@ -14,9 +14,8 @@ from jaxdet.stages._program import (
     STEPS,
     Static,
     floors,
-    host_tables,
     launch,
-    packed,
+    packed_tables,
     record_layout,
     work_layout,
 )
@@ -52,7 +51,7 @@ def program(point: Point) -> Program:
     unit, plane = frames.calibration.depth_unit, frames.plane
     assert plane is not None
     device = device_of_jax(kernels)
-    tables = packed(*host_tables(frames.calibration, CONFIG), device)
+    tables = packed_tables(frames.calibration, CONFIG, str(device))
     static = Static.of(tables)
     given = frames.depth, floors(plane, CONFIG, unit), tables
     arrays = [wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device=device) for a in given]

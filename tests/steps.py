@@ -11,15 +11,13 @@ from jaxdet.config import Config
 from jaxdet.runtime.calls import device_of_jax
 from jaxdet.stages._program import (
     STEPS,
-    Sizes,
     Static,
-    host_tables,
     launch,
     packed,
     record_layout,
     work_layout,
 )
-from jaxdet.stages._tables import Tables
+from jaxdet.stages._tables import Sizes, Tables, host_tables
 from jaxdet.types import MAX_OBSTACLES, Calibration, Cells, Intrinsics, Obstacles
 from jaxdet_kernels import program
 

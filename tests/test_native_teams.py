@@ -88,7 +88,7 @@ def check(program: Path, cases: Iterator[Case] | list[Case]) -> None:
     device = device_of_jax(kernels)
     for case in cases:
         config, unit = Config(), case.calibration.depth_unit
-        tables = _program.packed(*_program.host_tables(case.calibration, config), device)
+        tables = _program.packed_tables(case.calibration, config, str(device))
         static = _program.Static.of(tables)
         floors = _program.floors(case.plane, config, unit)
         words = static.words()

@@ -12,23 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from jaxdet.affinity import affinity
-from jaxdet.camera import cell_side
 from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
-from jaxdet.floor.plane import depth_range
 from jaxdet.floor.units import Scale, prior_units
 from jaxdet.runtime.launch import INT32, MULTIPROCESSORS, filled, on_cores, reported_words
 from jaxdet.runtime.layout import Layout
-from jaxdet.stages._tables import (
-    Tables,
-    cell_tables,
-    floor_tables,
-    free_tables,
-    obstacle_tables,
-    outline_tables,
-    surface_tables,
-)
+from jaxdet.stages._tables import Sizes, host_tables
 from jaxdet.types import (
     MAX_CONTOUR,
     MAX_OBSTACLES,
@@ -63,16 +52,6 @@ _HEADER = 32
 """Number of words of the header, a multiple of those of a cache line."""
 
 
-class Sizes(NamedTuple):
-    """Sizes of the depth images and of their grid of cells."""
-
-    height: int  # rows of pixels
-    width: int  # columns of pixels
-    side: int  # side of a cell [pixel]
-    rows: int  # rows of cells
-    columns: int  # columns of cells
-
-
 @lru_cache(maxsize=64)
 def work_layout(rows: int, columns: int) -> Layout:
     """Return the layout of a frame's intermediate arrays: its floor frame, and fields of cells."""
@@ -100,24 +79,6 @@ def record_layout() -> Layout:
             "first_notch": (),
         }
     )
-
-
-def host_tables(calibration: Calibration, config: Config) -> tuple[Sizes, Tables]:
-    """Return the sizes and the tables of all steps, on the host."""
-    unit, camera = calibration.depth_unit, calibration.depth
-    cells = cell_tables(calibration, config.surface)
-    rows, columns = cells["rays"].shape[1:]
-    bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
-    table = affinity(config.obstacle.affinity, unit)
-    side = cell_side(camera, config.surface.cell_rad)
-    return Sizes(camera.height, camera.width, side, rows, columns), {
-        **cells,
-        **floor_tables(rows * columns, config.floor, unit),
-        **surface_tables(calibration, config),
-        **obstacle_tables(bounds[1], unit, config.obstacle, table),
-        **outline_tables(calibration, config),
-        **free_tables(calibration, config),
-    }
 
 
 def floors(planes: GroundPlane, config: Config, unit: float) -> np.ndarray:

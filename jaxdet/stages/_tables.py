@@ -3,12 +3,12 @@
 Tables and settings are int32, and lengths are clipped; ``program.h`` has the same names.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxdet.affinity import BEYOND, NO_STEP, Affinity
+from jaxdet.affinity import BEYOND, NO_STEP, Affinity, affinity
 from jaxdet.camera import cell_rays, cell_side, corner_rays, splat_parameters
 from jaxdet.config import Config, FloorConfig, ObstacleConfig, SurfaceConfig
 from jaxdet.floor import units
@@ -44,6 +44,34 @@ _MODELS = Distortion.NONE, Distortion.PLUMB_BOB, Distortion.RATIONAL, Distortion
 
 Tables = dict[str, Array]
 """Tables and settings of a step, by their names in ``program.h``."""
+
+
+class Sizes(NamedTuple):
+    """Sizes of the depth images and of their grid of cells."""
+
+    height: int  # rows of pixels
+    width: int  # columns of pixels
+    side: int  # side of a cell [pixel]
+    rows: int  # rows of cells
+    columns: int  # columns of cells
+
+
+def host_tables(calibration: Calibration, config: Config) -> tuple[Sizes, Tables]:
+    """Return the sizes and the tables of all steps."""
+    unit, camera = calibration.depth_unit, calibration.depth
+    cells = cell_tables(calibration, config.surface)
+    rows, columns = cells["rays"].shape[1:]
+    bounds = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
+    table = affinity(config.obstacle.affinity, unit)
+    side = cell_side(camera, config.surface.cell_rad)
+    return Sizes(camera.height, camera.width, side, rows, columns), {
+        **cells,
+        **floor_tables(rows * columns, config.floor, unit),
+        **surface_tables(calibration, config),
+        **obstacle_tables(bounds[1], unit, config.obstacle, table),
+        **outline_tables(calibration, config),
+        **free_tables(calibration, config),
+    }
 
 
 def kernel_table(values: ArrayLike) -> np.ndarray:
