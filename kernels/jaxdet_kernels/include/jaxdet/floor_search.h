@@ -7,40 +7,52 @@
 
 namespace jaxdet { namespace {
 
+// The cells that vote for planes, and scratch memory for their votes.
+struct FloorSample {
+    enum { RINGS = 7 };
+    FloorAngles angles;
+    const FloorSettings* settings;
+    // The cells, sorted by ring, and the number of cells up to the end of each ring.
+    FloorCells cells;
+    const int* ring_ends;
+    // `slack` has the tolerance of each cell [depth units]; `weights` has one word per cell for each
+    // ThreadGroup; `keys` has FloorSearch::KEY_WORDS words; `votes` has the votes of all cells for each
+    // plane of a lattice, bins + 1 words per direction; `counts` has the counts for FloorVotes::LANES
+    // directions, or on CUDA `room` words of shared memory.
+    int *slack, *weights;
+    unsigned long long* keys;
+    int *votes, *counts;
+    int room;
+};
+
 // Hough transform: the cells up to each ring vote for planes on a lattice of pitch, roll and height. A
 // direction is a pair of pitch and roll. For each direction a cell votes for a range of heights. The
 // ends of the ranges are counted, and the votes are the prefix sums of the counts. On the CPU all cells
 // are processed for a vector of directions at a time. On CUDA each lane of a warp handles one
 // direction, the warps share the cells, and as many directions are counted at once as fit in shared
 // memory.
-struct FloorVotes {
+struct FloorVotes : FloorSample {
     // Directions that a thread sums up together, and their number.
     typedef Vectors::Ints Lanes;
-    enum { LANES = Vectors::INTS };
+    enum { LANES = Vectors::INTS, GROUP = LANES * Warp::size };
     // A lattice has fewer than 2^BIN_BITS heights.
     enum { APART = 12, BIN_BITS = 10, NOTHING = -0x7fffffff };
-    FloorAngles angles;
-    FloorCells cells;
-    // Tolerance of each cell [depth units].
-    const int* slack;
-    // Number of cells up to the end of each ring; the cells are sorted by ring. Rings up to which there
-    // are fewer than `fewest` cells are skipped.
-    const int* ring_ends;
-    int rings, fewest;
     // Lattice of planes: first pitch and first roll, and their spacing [angle steps]; number of pitches
     // and of rolls; lowest height [depth units]; number of heights. The spacing of heights is 2^bits
     // depth units.
     int pitch0, roll0, step, pitches, rolls, lowest, bins, bits;
     // Number of pitches and of heights at each end of the lattice that its near part excludes.
-    int edge_pitches, edge_bins;
-    // `votes` holds the votes of all cells, bins + 1 words per direction. `counts` holds the counts for
-    // LANES directions, or on CUDA `room` words of shared memory.
-    int *votes, *counts;
-    int room;
-    // `best` has, for each ring, the best key of the near part, with the votes of the cells up to the
-    // ring. `whole` is the best key of the complete lattice, with the votes of all cells.
-    // `of_direction` has the best key of each direction in the near part, with the votes of all cells.
-    unsigned long long *best, *whole, *of_direction;
+    int edge_pitches = 0, edge_bins = 0;
+    // Number of rings whose votes are counted separately; the last one has all cells. Other rings up to
+    // which there are fewer than `fewest` cells are skipped.
+    int rings = 1, fewest = 0;
+
+    // For each ring, the best key of the near part, with the votes of the cells up to the ring.
+    unsigned long long* best() const { return keys; }
+    // The best key of the complete lattice, with the votes of all cells.
+    unsigned long long* whole() const { return keys + RINGS; }
+    // The best key of each direction in the near part, with the votes of all cells.
+    unsigned long long* of_direction() const { return keys + RINGS + 1; }
 
     int directions() const { return pitches * rolls; }
 
@@ -89,15 +101,14 @@ struct FloorVotes {
         }
     };
 
-#if defined(__CUDA_ARCH__)
-    // Number of directions, padded to complete warps.
-    int padded() const { return (directions() + Warp::size - 1) / Warp::size * Warp::size; }
+    // Number of directions, padded to complete groups.
+    int padded() const { return (directions() + GROUP - 1) / GROUP * GROUP; }
+    // Whether the votes of all directions fit in shared memory.
     bool are_fast() const { return padded() * (bins + 1) <= room; }
-    // `row_of` is the first vote of direction d; `bin_step` is the number of words from each vote of a
-    // direction to the next.
+    // First vote of direction d; its other votes follow at intervals of padded() words.
     int* row_of(int d) const { return (are_fast() ? counts : votes) + d; }
-    int bin_step() const { return padded(); }
 
+#if defined(__CUDA_ARCH__)
     // Counts the ends of the ranges of heights that the cells `from` to `to` - 1 vote for. Each lane
     // handles one direction `down`, with index `k_of_lane` in the table.
     void count(const Warp& warp, const FloorDirection& down, int from, int to, const Table& table,
@@ -143,10 +154,6 @@ struct FloorVotes {
         team.sync();
     }
 #else
-    int padded() const { return (directions() + LANES - 1) / LANES * LANES; }
-    int* row_of(int d) const { return votes + d / LANES * LANES * (bins + 1) + d % LANES; }
-    int bin_step() const { return LANES; }
-
     // Writes the index of each lane's height bin in the counts, without the index of the lane; bins are
     // clipped to 0 .. bins.
     void place(const Lanes& bin, int* out) const {
@@ -187,7 +194,7 @@ struct FloorVotes {
     // the best bin of the near part and `all` to the best of all bins, each with its votes, packed as
     // in `key`. Writes the votes to `out` unless it is null.
     void sum_up(const Table& table, int k, int cells, int* out, Lanes& nearer, Lanes& all) const {
-        const int step = bin_step(), from = edge_bins, to = bins - edge_bins;
+        const int step = padded(), from = edge_bins, to = bins - edge_bins;
         Lanes sum = Lanes{} - FloorScore::BELOW_COST * cells;
         Lanes most = Lanes{} + (int)NOTHING, highest = most;
         for (int b = 0; b < bins; b++) {
@@ -227,13 +234,13 @@ struct FloorVotes {
                     const unsigned long long any = key(((const int*)&highest)[lane], d);
                     nearer = own < nearer ? own : nearer;
                     all = any < all ? any : all;
-                    if (is_last) of_direction[d] = own;
+                    if (is_last) of_direction()[d] = own;
                 }
                 nearer = warp.min(nearer);
-                if (warp.lane == 0) team.atomic_min(best + n, nearer);
+                if (warp.lane == 0) team.atomic_min(best() + n, nearer);
                 if (!is_last) continue;
                 all = warp.min(all);
-                if (warp.lane == 0) team.atomic_min(whole, all);
+                if (warp.lane == 0) team.atomic_min(whole(), all);
             }
             team.sync();
             done = end;
@@ -242,38 +249,33 @@ struct FloorVotes {
 
     // Computes the votes for all directions, and the best keys.
     void run(const Team& team) const {
-        for (int n = team.rank; n < rings; n += team.size) best[n] = ~0ull;
-        if (team.rank == 0) *whole = ~0ull;
+        for (int n = team.rank; n < rings; n += team.size) best()[n] = ~0ull;
+        if (team.rank == 0) *whole() = ~0ull;
         team.sync();
-        const int all = padded();
-#if defined(__CUDA_ARCH__)
-        const bool is_packed = !are_fast() && cells.count <= Table::MOST_PACKED;
-        const int most = room / (is_packed ? bins / 2 + 1 : bins + 1) / Warp::size * Warp::size;
-        const int span = most && most < all ? most : all;
+        const int all = padded(), on_cuda = Warp::size > 1;
+        const bool is_packed = on_cuda && !are_fast() && cells.count <= Table::MOST_PACKED;
+        const int fits = room / (is_packed ? bins / 2 + 1 : bins + 1) / GROUP * GROUP;
+        const int most = on_cuda ? fits : (int)LANES, span = most && most < all ? most : all;
         for (int first = 0; first < all; first += span)
             run(team, first, {most ? counts : votes, all - first < span ? all - first : span,
                               most > 0, is_packed && most});
-#else
-        for (int first = 0; first < all; first += LANES)
-            run(team, first, {counts, LANES, false, false});
-#endif
         team.sync();
     }
 
     // Replaces the last key of `best` by that of the next best plane in the near part, with the votes
     // of all cells. Planes similar to the previous ones are left out: their votes are overwritten.
     void next(const Team& team) const {
-        const unsigned long long last = best[rings - 1];
-        const int index = FloorKey::number(last), d = index / bins, h = index - d * bins;
+        unsigned long long* const last = best() + rings - 1;
+        const int index = FloorKey::number(*last), d = index / bins, h = index - d * bins;
         const int p = d / rolls, r = d % rolls;
         const Warp warp(team);
         team.sync();
-        if (team.rank == 0) best[rings - 1] = ~0ull;
+        if (team.rank == 0) *last = ~0ull;
         for (int k = warp.index; k < 9; k += warp.count) {
             const int pitch = p + k / 3 - 1, roll = r + k % 3 - 1, other = pitch * rolls + roll;
             if (pitch < 0 || pitch >= pitches || roll < 0 || roll >= rolls) continue;
             int* row = row_of(other);
-            const int from = h - APART > 0 ? h - APART : 0, step = bin_step();
+            const int from = h - APART > 0 ? h - APART : 0, step = padded();
             const int to = h + APART + 1 < bins ? h + APART + 1 : bins;
             int most = -0x7fffffff - 1, bin = bins;
             for (int b = warp.lane; b < bins; b += warp.size) {
@@ -285,21 +287,20 @@ struct FloorVotes {
             }
             const unsigned long long found =
                 warp.min(bin < bins ? key(most, other, bin) : ~0ull);
-            if (is_near(other) && warp.lane == 0) of_direction[other] = found;
+            if (is_near(other) && warp.lane == 0) of_direction()[other] = found;
         }
         team.sync();
         unsigned long long left = ~0ull;
         for (int k = team.rank; k < directions(); k += team.size)
-            left = of_direction[k] < left ? of_direction[k] : left;
+            left = of_direction()[k] < left ? of_direction()[k] : left;
         left = warp.min(left);
-        if (warp.lane == 0) team.atomic_min(best + rings - 1, left);
+        if (warp.lane == 0) team.atomic_min(last, left);
         team.sync();
     }
 };
 
-struct FloorSearch {
+struct FloorSearch : FloorSample {
     enum {
-        RINGS = 7,
         MIN_SHARE = 3,
         NEAR_DEG = 4,
         STEEP_DEG = 8,
@@ -316,18 +317,6 @@ struct FloorSearch {
         MOST_DIRECTIONS = 30 * 21,
         KEY_WORDS = 2 * (RINGS + 1 + MOST_DIRECTIONS)
     };
-    FloorAngles angles;
-    const FloorSettings* settings;
-    // The cells that vote, sorted by ring, and the number of cells up to the end of each ring.
-    FloorCells cells;
-    const int* ring_ends;
-    // Scratch: `slack` has one word per cell; `weights` has one word per cell for each ThreadGroup;
-    // `keys` has KEY_WORDS words; `votes` has the votes of all directions; `counts` has the counts for
-    // FloorVotes::LANES directions, or on CUDA `room` words of shared memory.
-    int *slack, *weights;
-    unsigned long long* keys;
-    int *votes, *counts;
-    int room;
 
     // Whether a plane is below the camera and the camera's tilt is usual on a robot or in a hand.
     static bool is_usual(FloorPlane plane) {
@@ -343,22 +332,21 @@ struct FloorSearch {
         return least + (beyond > 0 ? FILLS * beyond / FloorAngles::ANGLES : 0);
     }
 
+    // Number of heights of a lattice over a range of `span` depth units.
+    static int bins_of(const FloorSettings* settings, int span) {
+        return (span >> settings->bin_bits) + 1;
+    }
+
     // Number of heights of the largest lattice, plus one.
     static int most_bins(const FloorSettings* settings) {
-        const int span = 2 * settings->span;
-        const int range = settings->highest - settings->lowest;
-        return ((span > range ? span : range) >> settings->bin_bits) + 2;
+        const int near = 2 * settings->span, wide = settings->highest - settings->lowest;
+        return bins_of(settings, near > wide ? near : wide) + 1;
     }
 
     // Number of words for the votes of the largest lattice. Directions are padded to complete warps,
     // and each has one word more than there are heights.
-    static size_t lattice_words(const FloorSettings* settings) {
-        const auto words = [&](size_t directions, int span) {
-            return (directions + 31) / 32 * 32 * ((span >> settings->bin_bits) + 2);
-        };
-        const size_t near = words((2 * STEEP_DEG + 1) * (2 * NEAR_DEG + 1), 2 * settings->span);
-        const size_t wide = words(MOST_DIRECTIONS, settings->highest - settings->lowest);
-        return near > wide ? near : wide;
+    static int lattice_words(const FloorSettings* settings) {
+        return (MOST_DIRECTIONS + 31) / 32 * 32 * most_bins(settings);
     }
 
     // Computes the tolerance of each cell for votes, in `slack`. It includes the spacing of directions
@@ -377,17 +365,8 @@ struct FloorSearch {
     // each side, one degree apart.
     FloorVotes around(FloorPlane middle, int turn, int roll) const {
         const int one = FloorAngles::ANGLES, span = settings->span;
-        return lattice(middle.pitch - turn * one, middle.roll - roll * one, one, 2 * turn + 1,
-                       2 * roll + 1, middle.height - span, 2 * span);
-    }
-
-    // Lattice with the parameters of FloorVotes; `span` is the range of heights [depth units].
-    FloorVotes lattice(int pitch0, int roll0, int step, int pitches, int rolls, int lowest,
-                       int span) const {
-        const int rings = 1, fewest = 0, edges = 0, bits = settings->bin_bits;
-        return {angles, cells, slack, ring_ends, rings, fewest, pitch0, roll0, step, pitches, rolls,
-                lowest, (span >> bits) + 1, bits, edges, edges, votes, counts, room, keys,
-                keys + RINGS, keys + RINGS + 1};
+        return {*this, middle.pitch - turn * one, middle.roll - roll * one, one, 2 * turn + 1,
+                2 * roll + 1, middle.height - span, bins_of(settings, 2 * span), settings->bin_bits};
     }
 
     // Counts the votes for each plane. Each warp takes a part of the cells, so that the load is
@@ -424,7 +403,7 @@ struct FloorSearch {
             if (ring_ends[n] < lattice.fewest) continue;
             if (n > 0 && ring_ends[n] == ring_ends[n - 1]) continue;  // the same cells and plane
             ends[count] = ring_ends[n];
-            if (team.rank == 0) planes[count] = lattice.plane(lattice.best[n]);
+            if (team.rank == 0) planes[count] = lattice.plane(lattice.best()[n]);
             count++;
         }
         return count;
@@ -441,10 +420,10 @@ struct FloorSearch {
         lattice.next(team);
         // `any` is the best plane of the complete lattice; it is omitted if the near
         // part has the same best plane.
-        const FloorPlane any = lattice.plane(*lattice.whole);
+        const FloorPlane any = lattice.plane(*lattice.whole());
         const bool is_new = !(any == planes[count - 1]);
         if (team.rank == 0) {
-            planes[count] = lattice.plane(lattice.best[RINGS - 1]);
+            planes[count] = lattice.plane(lattice.best()[RINGS - 1]);
             if (is_new) planes[count + 1] = any;
         }
         ends[count] = ends[count + 1] = cells.count;
@@ -471,17 +450,17 @@ struct FloorSearch {
     // Finds the best floor without a prior, for any usual pose of the camera; `planes` and `scores`
     // have room for ANY_PLANES elements each.
     FloorPlane any_plane(const Team& team, FloorPlane* planes, int* scores) const {
-        const int lowest = settings->lowest;
-        const int one = FloorAngles::ANGLES, range = settings->highest - lowest;
-        FloorVotes wide = lattice(
-            PITCH_LEAST * one, -ROLL_MOST * one, STEP_DEG * one,
-            (PITCH_MOST - PITCH_LEAST) / STEP_DEG + 1, 2 * ROLL_MOST / STEP_DEG + 1, lowest, range);
+        const int one = FloorAngles::ANGLES;
+        FloorVotes wide = {*this, PITCH_LEAST * one, -ROLL_MOST * one, STEP_DEG * one,
+                           (PITCH_MOST - PITCH_LEAST) / STEP_DEG + 1, 2 * ROLL_MOST / STEP_DEG + 1,
+                           settings->lowest,
+                           bins_of(settings, settings->highest - settings->lowest), settings->bin_bits};
         coarse(team, settings->wide_per_z);
         int ends[ANY_PLANES];
         int count = best_of_rings(team, wide, planes, ends);
         for (int n = 1; n < WINNERS; n++) {
             wide.next(team);
-            if (team.rank == 0) planes[count] = wide.plane(wide.best[RINGS - 1]);
+            if (team.rank == 0) planes[count] = wide.plane(wide.best()[RINGS - 1]);
             count++;
         }
         team.sync();
@@ -489,7 +468,7 @@ struct FloorSearch {
         for (int n = 0; n < count; n++) {
             const FloorVotes close = around(planes[n], 1, 1);
             close.run(team);
-            if (team.rank == 0) planes[n] = close.plane(close.best[0]);
+            if (team.rank == 0) planes[n] = close.plane(close.best()[0]);
             team.sync();
         }
         for (int n = 0; n < count; n++) ends[n] = cells.count;
