@@ -208,11 +208,9 @@ struct Floor {
         for (int k = 0; k < RESULTS; k++) out[k] = values[k];
     }
 
-    FloorProfile profile() const {
-        return {angles, settings, inner.part(0, counts[INNER]), keys, rows, places};
+    FloorRamps ramps() const {
+        return {{angles, settings, inner.part(0, counts[INNER]), keys, rows, places}};
     }
-
-    FloorRamps ramps() const { return {profile()}; }
 
     void find(int number, int* out) const {
         const FloorCells sample = few.part(0, number);
@@ -246,7 +244,7 @@ struct Floor {
                 others += is_new;
             }
             const int farthest = prior.height + settings->max_shift;
-            const FloorOutlook outlook = {ramps(), {profile()}, has_prior, farthest, most_ramp};
+            const FloorOutlook outlook = {ramps(), has_prior, farthest, most_ramp};
             plane = outlook.run(team, different, others, ahead);
         }
         ThreadGroup everyone(team, sums);

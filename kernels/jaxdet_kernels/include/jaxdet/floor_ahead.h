@@ -1,15 +1,15 @@
-// Shape of the floor ahead of its plane: flat, a ramp, or a step. Twin of
-// jaxdet/reference/_floor_ahead.py, which documents the constants.
+// Shape of the floor ahead of its plane: flat, a ramp, or a step down or up. Twin of
+// jaxdet/reference/_floor_ahead.py and jaxdet/reference/_floor_step.py, which document the constants.
 #pragma once
 #include "floor_ramp.h"
-#include "floor_step.h"
 
 namespace jaxdet { namespace {
 
-struct FloorOutlook {
+struct FloorOutlook : FloorRamps {
     enum { MIN_GAIN = 5, OVER_RAMP = 2, ALIKE = 3 };
-    FloorRamps ramps;
-    FloorSteps steps;
+    enum { DROPS = 28, RISES = 10, STEPS = DROPS + RISES, OWN = 4 };
+    // Number of candidate steps that are tried together: all of them on the CPU.
+    enum { TOGETHER = Warp::size > 1 ? 1 : STEPS };
     // Whether there is a prior; if there is one, the largest height above the floor that the camera may
     // have [depth units].
     bool has_prior;
@@ -27,11 +27,11 @@ struct FloorOutlook {
         out = {};
         for (int n = 0; n < count; n++) {
             if (team.rank == 0) most_ramp[n] = none;
-            ramps.sort(team, planes[n]);
-            ramps.limits(team, ramps.fine());
-            const int alone = ramps.flat()[ramps.runs()];
+            sort(team, planes[n]);
+            limits(team, fine());
+            const int alone = flat()[runs()];
             most_alone = alone > most_alone ? alone : most_alone;
-            ramps.limit(team, ramps.fine(), most_ramp + n);
+            limit(team, fine(), most_ramp + n);
             team.sync();
             bool is_new = true;
             for (int k = 0; k < n; k++)
@@ -41,14 +41,14 @@ struct FloorOutlook {
             FloorAhead found;
             int votes;
             const int deeper = has_prior ? farthest - planes[n].height : 0;
-            if (!steps.step(team, best_votes + 1, deeper, found, votes)) continue;
+            if (!step(team, best_votes + 1, deeper, found, votes)) continue;
             best_votes = votes;
             best_plane = n;
             out = found;
         }
         const int gain = most_alone > 0 ? MIN_GAIN : 0;
         const long long least = (100LL + gain) * most_alone;
-        const int needed = (int)ramps.angles.quotient(least, 100) + 1;
+        const int needed = (int)angles.quotient(least, 100) + 1;
         if (best_votes < needed) {
             best_votes = needed - 1;
             best_plane = 0;
@@ -62,11 +62,11 @@ struct FloorOutlook {
         int sorted = count - 1;
         for (int n = 0; n < count; n++) {
             if (most_ramp[n] <= best_votes) continue;
-            if (n != sorted) ramps.sort(team, planes[n]);
+            if (n != sorted) sort(team, planes[n]);
             sorted = n;
             FloorAhead found;
             int votes;
-            if (ramps.ramp(team, best_votes + 1, found, votes)) {
+            if (ramp(team, best_votes + 1, found, votes)) {
                 best_votes = votes;
                 best_plane = n;
                 out = found;
@@ -80,7 +80,96 @@ struct FloorOutlook {
     bool are_alike(FloorPlane a, FloorPlane b) const {
         const auto differ = [](int a, int b, int most) { return a - b > most || b - a > most; };
         return !differ(a.pitch, b.pitch, ALIKE) && !differ(a.roll, b.roll, ALIKE) &&
-               !differ(a.height, b.height, ramps.settings->alike);
+               !differ(a.height, b.height, settings->alike);
+    }
+
+    // `own` is the number of inliers of the plane in all nearer distance bins; `others` is the number
+    // of inliers of the floor beyond the step in this distance bin.
+    int* own() const { return row(5); }
+    int* others() const { return row(6); }
+
+    // Drop of the floor at candidate step `i` [depth units]; the steps down come first.
+    int drop(int i) const {
+        const int each = settings->drop_spacing;
+        return i < DROPS ? (i + 1) * each : -(i - DROPS + 1) * each;
+    }
+
+    // Finds the step with the most votes, the first of several with equal votes, and its number of
+    // votes. Returns false if it has fewer than `least` votes, or if the floor beyond the step is not
+    // visible over some distance. A step down must be deeper than `deeper` [depth units]. `sort` and
+    // `limits` must have run for this plane, with the fine tolerance.
+    bool step(const Team& team, int least, int deeper, FloorAhead& found, int& votes) const {
+        const int n = runs(), each = FloorScore::BELOW_COST;
+        const Warp warp(team);
+        if (team.rank == 0) *key = ~0ull;
+        for (int k = team.rank; k < n; k += team.size) {
+            int low;
+            own()[k] = on(k, 0, fine()[k], low);
+        }
+        team.sync();
+        if (warp.index == 0) warp.exclusive_sum(own(), n);
+        team.sync();
+        for (int first = warp.index * TOGETHER; first < STEPS; first += warp.count * TOGETHER) {
+            int deep[TOGETHER], rise[TOGETHER];
+            // Most votes so far, and the distance bin at which the step with these votes begins.
+            int most[TOGETHER], at[TOGETHER];
+            // Votes and inliers of the floor beyond the step in the bins of earlier passes; these bins
+            // are farther away.
+            int beyond[TOGETHER] = {}, other[TOGETHER] = {};
+            bool some = false;
+            for (int w = 0; w < TOGETHER; ++w) {
+                deep[w] = drop(first + w);
+                rise[w] = -deep[w];
+                most[w] = -0x7fffffff;
+                at[w] = -1;
+                some |= deep[w] < 0 || deep[w] > deeper;
+            }
+            if (!some) continue;
+            for (int done = 0; done < n; done += warp.size) {
+                const int k = n - 1 - done - warp.lane, place = k < 0 ? 0 : k;
+                int here[TOGETHER] = {}, low[TOGETHER] = {};
+                if (k >= 0) count<TOGETHER>(k, rise, coarse()[k], here, low);
+                const int mine = own()[place], before = flat()[place], wide = 2 * coarse()[place];
+                for (int w = 0; w < TOGETHER; ++w) {
+                    const int votes_up_to = warp.inclusive_sum(here[w] - each * low[w]);
+                    const int cells_up_to = warp.inclusive_sum(here[w]);
+                    const int all = before + beyond[w] + votes_up_to;
+                    const int size = deep[w] < 0 ? rise[w] : deep[w];
+                    const bool counts = (k >= 0) & (size > wide) & (all >= most[w]) &
+                                        (OWN * mine >= mine + other[w] + cells_up_to);
+                    most[w] = counts ? all : most[w];
+                    at[w] = counts ? k : at[w];
+                    beyond[w] += warp.broadcast(votes_up_to, warp.size - 1);
+                    other[w] += warp.broadcast(cells_up_to, warp.size - 1);
+                }
+            }
+            for (int w = 0; w < TOGETHER; ++w)
+                if (at[w] >= 0 && (deep[w] < 0 || deep[w] > deeper))
+                    team.atomic_min(key, FloorKey::of(most[w], (first + w) * n + at[w]));
+        }
+        team.sync();
+        const unsigned long long best = *key;
+        team.sync();
+        votes = FloorKey::votes(best);
+        if (best == ~0ull || votes < least) return false;
+        const int m = FloorKey::number(best);
+        found = {(m % n) << settings->run_bits, 0, drop(m / n)};
+        return is_seen_beyond(team, m % n, found.drop);
+    }
+
+    // Whether the floor beyond the step is visible over some distance, which a wall is not. It begins
+    // at distance bin `from`, `deep` depth units below the plane.
+    bool is_seen_beyond(const Team& team, int from, int deep) const {
+        const int n = runs();
+        for (int k = team.rank; k < n; k += team.size) {
+            int low;
+            others()[k] = k < from ? 0 : on(k, -deep, coarse()[k], low);
+        }
+        team.sync();
+        int first;
+        const bool extends = extend(others(), first);
+        team.sync();
+        return extends;
     }
 };
 

@@ -136,26 +136,26 @@ struct FloorProfile {
         return found;
     }
 
-    // Sets `first` and `last` to the distance bins of the nearest and the farthest cell that remain if
-    // the nearest and the farthest tenth of the cells are left out. `counts` has the number of cells
+    // Whether cells extend over some distance. The nearest and the farthest tenth of them are ignored.
+    // Sets `first` to the distance bin of the nearest of the others. `counts` has the number of cells
     // per distance bin.
-    void spread(const int* counts, int& first, int& last) const {
+    bool extend(const int* counts, int& first) const {
         long long total = 0, running = 0;
         for (int k = 0; k < runs(); k++) total += counts[k];
-        first = last = -1;
+        int last = first = -1;
         for (int k = 0; k < runs(); k++) {
             running += counts[k];
             if (first < 0 && 10 * running >= total) first = k;
             if (last < 0 && 10 * running >= 9 * total) last = k;
         }
+        return middle(last) - middle(first) > settings->spread;
     }
 
     // Number of cells in distance bin k that are lower than `height` above the plane [depth units].
     int under(int k, int height) const {
         const int end = (height >> settings->rise_bits) + half();
-        const Ranges<1> range = {{end}, {0}, {0}};
-        int count = 0, none = 0;
-        this->count<1>(k, range, &count, &none);
+        int count = 0;
+        for (int i = begin()[k]; i < begin()[k + 1]; i++) count += heights()[i] < end;
         return count;
     }
 };

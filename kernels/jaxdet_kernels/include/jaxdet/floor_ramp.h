@@ -23,13 +23,6 @@ struct FloorRamps : FloorProfile {
         ABREAST = Warp::size > 1 ? 1 : STARTS
     };
 
-    // Lattice of candidate ramps, with the numbers of starts and turns. If `sign` is 0, it is the
-    // coarse lattice of all ramps; otherwise it is the fine lattice around the ramp with this start and
-    // with turn `sign` * `turn`.
-    struct Lattice {
-        int starts, turns, start, turn, sign;
-    };
-
     // Upper bound of the votes of any ramp by the cells of this and all farther distance bins, for each
     // distance bin; computed by `limits`.
     int* most() const { return row(2); }
@@ -41,15 +34,10 @@ struct FloorRamps : FloorProfile {
     // Upper bound of the votes in the distance bin of each sorted cell; see `limits`.
     int* worth() const { return places; }
 
-    // Height of a ramp above the plane at the distance `run`; lengths are in depth units.
-    int rise(int start, int slope, int run) const {
-        const int beyond = run > start ? run - start : 0;
-        return (int)(((long long)slope * beyond + (1 << (FloorAngles::SLOPE_BITS - 1))) >>
-                     FloorAngles::SLOPE_BITS);
-    }
-
-    // Rounds a product with SLOPE_BITS fraction bits. Distances of cells have 19 bits, slopes 12.
-    static int rounded(int product) {
+    // Height of a ramp above the plane at the distance `run`; lengths are in depth units. Distances have
+    // 19 bits and slopes 12, so that their product fits in 32 bits.
+    static int rise(int start, int slope, int run) {
+        const int product = slope * (run > start ? run - start : 0);
         return (product + (1 << (FloorAngles::SLOPE_BITS - 1))) >> FloorAngles::SLOPE_BITS;
     }
 
@@ -122,12 +110,10 @@ struct FloorRamps : FloorProfile {
                 const int level = flat()[k + 1] - flat()[k];
                 int lowest[ABREAST], highest[ABREAST], most[ABREAST];
                 for (int w = 0; w < ABREAST; w++) {
-                    const int far = run > nearest[w] ? run - nearest[w] : 0;
-                    const int near = run > farthest[w] ? run - farthest[w] : 0;
-                    const int low = low_slope * (uphill ? near : far);
-                    const int high = high_slope * (uphill ? far : near);
-                    lowest[w] = ((rounded(low) - s) >> bits) + middle_rise;
-                    highest[w] = ((rounded(high) + s) >> bits) + middle_rise;
+                    const int low = rise(uphill ? farthest[w] : nearest[w], low_slope, run);
+                    const int high = rise(uphill ? nearest[w] : farthest[w], high_slope, run);
+                    lowest[w] = ((low - s) >> bits) + middle_rise;
+                    highest[w] = ((high + s) >> bits) + middle_rise;
                     most[w] = 0;
                 }
                 for (int i = from; i < to; i++) {
@@ -151,21 +137,40 @@ struct FloorRamps : FloorProfile {
         return i < STARTS ? starts[i] - around : starts[STARTS - 1] + around;
     }
 
+    // Candidate ramps form a lattice of starts and turns: if `around` is a ramp, the fine lattice around
+    // it, otherwise the coarse lattice of all ramps.
+    static int num_starts(FloorAhead around) { return around.turn ? (int)FINE : (int)STARTS; }
+    static int num_turns(FloorAhead around) { return around.turn ? (int)FINE : 2 * TURNS; }
+
+    // Start of the ramps with index i [depth units], and turn of the ramps with index j [angle steps].
+    int start_of(FloorAhead around, int i) const {
+        return around.turn ? around.start + (i - AROUND) * settings->start_step : settings->starts[i];
+    }
+    static int turn_of(FloorAhead around, int j) {
+        if (!around.turn)
+            return j * TURN_STEP + (j < TURNS ? -MOST_TURN : LEAST_TURN - TURNS * TURN_STEP);
+        const bool downhill = around.turn < 0;
+        const int size = (downhill ? -around.turn : around.turn) + (j - AROUND) * FINE_TURN;
+        const int turn = size < LEAST_TURN ? LEAST_TURN : size > MOST_TURN ? MOST_TURN : size;
+        return downhill ? -turn : turn;
+    }
+
     // Lowers `key` to the `FloorKey` of the first ramp of a lattice with the most votes, if it has at
     // least `least` votes. `limits` must have run with the same tolerance. ABREAST ramps with the same
     // turn are tried together; ramps that cannot have as many votes as the best one so far are skipped.
-    void best(const Team& team, const Lattice& tried, const int* slack, int least) const {
-        const int turns = tried.turns, groups = (tried.starts + ABREAST - 1) / ABREAST * turns;
+    void best(const Team& team, FloorAhead around, const int* slack, int least) const {
+        const int starts = num_starts(around), turns = num_turns(around);
         const int n = runs(), *const rest = most();
         int most_votes = least;
-        for (int group = groups - 1 - team.rank; group >= 0; group -= team.size) {
+        for (int group = (starts + ABREAST - 1) / ABREAST * turns - 1 - team.rank; group >= 0;
+             group -= team.size) {
             const int first = group / turns * ABREAST, turn = group % turns;
-            const int slope = angles.slope(turn_of(tried, turn));
+            const int slope = angles.slope(turn_of(around, turn));
             // Start, number and votes of each ramp; the starts increase, surplus ramps repeat the last.
             int start[ABREAST], number[ABREAST], votes[ABREAST], highest;
             for (int w = 0; w < ABREAST; w++) {
-                const int i = first + w < tried.starts ? first + w : tried.starts - 1;
-                start[w] = start_of(tried, i);
+                const int i = first + w < starts ? first + w : starts - 1;
+                start[w] = start_of(around, i);
                 number[w] = i * turns + turn;
             }
             int k = first_beyond(start[0]);
@@ -178,8 +183,7 @@ struct FloorRamps : FloorProfile {
                 if (begin()[k] == begin()[k + 1]) continue;
                 int up[ABREAST], on[ABREAST] = {}, low[ABREAST] = {};
                 const int run = middle(k);
-                for (int w = 0; w < ABREAST; w++)
-                    up[w] = rounded(slope * (run > start[w] ? run - start[w] : 0));
+                for (int w = 0; w < ABREAST; w++) up[w] = rise(start[w], slope, run);
                 count<ABREAST>(k, up, slack[k], on, low);
                 highest = votes[0];
                 for (int w = 0; w < ABREAST; w++) {
@@ -198,44 +202,24 @@ struct FloorRamps : FloorProfile {
 
     // First distance bin whose centre lies beyond `start` [depth units].
     int first_beyond(int start) const {
-        const int bits = settings->run_bits;
-        const int k = start < 0 ? 0 : start >> bits;
-        const int found = k < runs() ? k + (middle(k) <= start) : runs();
-        return found;
-    }
-
-    // Start of the ramps with index i [depth units], and turn of the ramps with index j [angle steps].
-    int start_of(const Lattice& tried, int i) const {
-        if (!tried.sign) return settings->starts[i];
-        return tried.start + (i - AROUND) * settings->start_step;
-    }
-    int turn_of(const Lattice& tried, int j) const {
-        if (!tried.sign) {
-            const int k = j < TURNS ? TURNS - 1 - j : j - TURNS;
-            const int turn = LEAST_TURN + k * TURN_STEP;
-            return j < TURNS ? -turn : turn;
-        }
-        const int turn = tried.turn + (j - AROUND) * FINE_TURN;
-        return tried.sign * (turn < LEAST_TURN ? LEAST_TURN : turn > MOST_TURN ? MOST_TURN : turn);
+        const int k = start < 0 ? 0 : start >> settings->run_bits;
+        return k < runs() ? k + (middle(k) <= start) : runs();
     }
 
     // Finds the ramp with the most votes above a plane, and its votes. `sort` must have run for this
     // plane. Returns false if the ramp has fewer than `least` votes or is not visible.
     bool ramp(const Team& team, int least, FloorAhead& found, int& votes) const {
-        Lattice tried = {STARTS, 2 * TURNS, 0, 0, 0};
+        found = {};
         for (int pass = 0; pass < 2; pass++) {
-            const int* slack = pass ? fine() : coarse();
+            const int *slack = pass ? fine() : coarse(), turns = num_turns(found);
             limits(team, slack);
             if (team.rank == 0) *key = ~0ull;
             team.sync();
-            best(team, tried, slack, pass ? least : -0x7fffffff);
+            best(team, found, slack, pass ? least : -0x7fffffff);
             if (*key == ~0ull) return false;
             const int m = FloorKey::number(*key);
             votes = FloorKey::votes(*key);
-            found.start = start_of(tried, m / tried.turns);
-            found.turn = turn_of(tried, m % tried.turns);
-            const int sign = found.turn < 0 ? -1 : 1;
-            tried = {FINE, FINE, found.start, sign * found.turn, sign};
+            found = {start_of(found, m / turns), turn_of(found, m % turns)};
         }
         return is_seen(team, found, fine());
     }
@@ -265,10 +249,9 @@ struct FloorRamps : FloorProfile {
             if (begins < 0) begins = k;
         }
         if (100LL * total < (long long)MIN_SHARE * all || !total) return false;
-        int first, last;
-        spread(ramp_cells(), first, last);
-        return middle(first) < middle(begins) + settings->ramp_near &&
-               middle(last) - middle(first) > settings->spread;
+        int first;
+        const bool extends = extend(ramp_cells(), first);
+        return extends && middle(first) < middle(begins) + settings->ramp_near;
     }
 
     // Ramp that begins where two planes cross and continues as the plane `steep`; no ramp if the angle
@@ -280,9 +263,8 @@ struct FloorRamps : FloorProfile {
         const long long over = angles.quotient(steep.height * one, angles.cosine(turn)) - level.height;
         const long long rise = over * (1 << FloorAngles::SLOPE_BITS);
         const int slope = angles.slope(turn);
-        const long long start =
-            slope > 0 ? angles.quotient(rise, slope) : angles.quotient(-rise, -slope);
-        return {angles.clipped(start, 1 << 30), turn};
+        const int sign = slope < 0 ? -1 : 1;
+        return {angles.clipped(angles.quotient(sign * rise, sign * slope), 1 << 30), turn};
     }
 
     // Plane in which a ramp lies, with pitch limited to STEEPEST; the inverse of `crossing`.
