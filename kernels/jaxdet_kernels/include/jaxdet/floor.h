@@ -17,18 +17,6 @@ struct FoundFrame {
     enum { PITCH, ROLL, HEIGHT, START, TURN, ON, ALL, REFUSED, RESULTS };
     FloorAngles angles;
 
-    // Wraps an angle to [-180, 180) degrees.
-    static int within_a_turn(int angle) {
-        enum { HALF = 180 * FloorAngles::ANGLES, WHOLE = 2 * HALF };
-        const int rest = (angle + HALF) % WHOLE;
-        return (rest < 0 ? rest + WHOLE : rest) - HALF;
-    }
-
-    static int product(int a, int b) {
-        const int bits = 2 * FloorAngles::SINE_BITS - FloorFrame::BITS;
-        return (a * b + (1 << (bits - 1))) >> bits;
-    }
-
     // Writes the frame of the floor `found` (RESULTS values) to `out`, or `given` if no floor was
     // accepted; both have FloorFrame::VALUES values.
     void run(const int* found, const int* given, int* out) const {
@@ -36,17 +24,14 @@ struct FoundFrame {
             for (int i = 0; i < FloorFrame::VALUES; ++i) out[i] = given[i];
             return;
         }
-        const int pitch = within_a_turn(found[PITCH]), roll = within_a_turn(found[ROLL]);
-        const int sin_p = angles.sine(pitch), cos_p = angles.cosine(pitch);
-        const int sin_r = angles.sine(roll), cos_r = angles.cosine(roll);
-        const int one = 1 << FloorAngles::SINE_BITS, turn = found[TURN];
-        const int shift = FloorAngles::SLOPE_BITS - FloorFrame::BITS;
-        const int slope = (angles.slope(turn) + (1 << (shift - 1))) >> shift;
+        enum { BITS = FloorFrame::BITS, SHIFT = FloorAngles::SLOPE_BITS - BITS };
+        const FloorPlane plane = {found[PITCH], found[ROLL], found[HEIGHT]};
+        const FloorDirection right = angles.right(plane, BITS), forward = angles.forward(plane, BITS);
+        const FloorDirection down = angles.down(plane, BITS);
+        const int turn = found[TURN], slope = (angles.slope(turn) + (1 << (SHIFT - 1))) >> SHIFT;
         const int values[FloorFrame::VALUES] = {
-            product(cos_r, one), product(-sin_r, one), 0,
-            product(-sin_r, sin_p), product(-cos_r, sin_p), product(cos_p, one),
-            product(sin_r, cos_p), product(cos_r, cos_p), product(sin_p, one),
-            found[HEIGHT], 1, turn ? found[START] : 0, turn ? slope : 0,
+            right.x, right.y, right.z, forward.x, forward.y, forward.z, down.x, down.y, down.z,
+            plane.height, 1, turn ? found[START] : 0, turn ? slope : 0,
         };
         for (int i = 0; i < FloorFrame::VALUES; ++i) out[i] = values[i];
     }
@@ -63,7 +48,7 @@ struct Floor {
         UNDER_PART_ALONE = 8,
         // Maximum number of planes that are scored together; a search near a guess has fewer.
         PLANES = FloorSearch::ANY_PLANES,
-        RESULTS = 8,
+        RESULTS = FoundFrame::RESULTS,
         PRIOR = 4,
         NONE = 0,
         TOO_LITTLE = 1,
@@ -156,16 +141,21 @@ struct Floor {
             for (int n = 0; n < FloorSearch::RINGS - 1; n++) ring += rings[n] < depth;
             return ring;
         };
-        const auto is_used = [&](int depth) { return (depth > 0) & (depth <= deepest); };
-        for (int i = team.rank; i < r * c; i += team.size) {
-            const int row = i / c, column = i % c;
-            const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
-            if (!is_used(depth)) continue;
-            const int k = team.atomic_count(counts + ALL);
-            cells.put(k, x[p], y[p], depth);
-            if (((row | column) & 1) == 0) team.atomic_count(counts + ENDS + ring_of(depth));
-        }
-        team.sync();
+        // Calls `use` with the row, the column and the index of each measured cell in every `step`-th
+        // row and column of the sample.
+        const auto each_cell = [&](int step, auto use) {
+            const int down = (r + step - 1) / step, across = (c + step - 1) / step;
+            for (int i = team.rank; i < down * across; i += team.size) {
+                const int row = i / across * step, column = i % across * step;
+                const int p = (half + row * stride) * columns + half + column * stride;
+                if ((z[p] > 0) & (z[p] <= deepest)) use(row, column, p);
+            }
+            team.sync();
+        };
+        each_cell(1, [&](int row, int column, int p) {
+            cells.put(team.atomic_count(counts + ALL), x[p], y[p], z[p]);
+            if (((row | column) & 1) == 0) team.atomic_count(counts + ENDS + ring_of(z[p]));
+        });
         if (team.rank == 0) {
             int sum = 0;
             for (int n = 0; n < FloorSearch::RINGS; n++) {
@@ -174,16 +164,10 @@ struct Floor {
             }
         }
         team.sync();
-        const int across = (c + 1) / 2, down = (r + 1) / 2;
-        for (int i = team.rank; i < down * across; i += team.size) {
-            const int row = i / across * 2, column = i % across * 2;
-            const int p = (half + row * stride) * columns + half + column * stride, depth = z[p];
-            if (!is_used(depth)) continue;
-            const int k = team.atomic_count(counts + NEXT + ring_of(depth));
-            few.put(k, x[p], y[p], depth);
-            if (!margins.has(column)) inner.put(team.atomic_count(counts + INNER), x[p], y[p], depth);
-        }
-        team.sync();
+        each_cell(2, [&](int, int column, int p) {
+            few.put(team.atomic_count(counts + NEXT + ring_of(z[p])), x[p], y[p], z[p]);
+            if (!margins.has(column)) inner.put(team.atomic_count(counts + INNER), x[p], y[p], z[p]);
+        });
     }
 
     // Writes the floor to `out`: the RESULTS integers that `floor_fit` in jaxdet/floor/units.py
@@ -193,18 +177,23 @@ struct Floor {
         const int number = counts[ENDS + FloorSearch::RINGS - 1];
         if (number < MIN_CELLS) {
             const FloorPlane plane = has_prior ? prior : FloorPlane{0, 0, 0};
-            write(out, plane, {}, 0, 0, TOO_LITTLE);
+            write(out, plane, {}, {0, 0, TOO_LITTLE});
         } else {
             find(number, out);
         }
         team.sync();
     }
 
-    void write(int* out, FloorPlane plane, FloorAhead ahead, int on, int total, int refused) const {
+    // Number of inliers of a floor, number of all cells, and reason of its refusal, or NONE.
+    struct Verdict {
+        int on, total, refused;
+    };
+
+    void write(int* out, FloorPlane plane, FloorAhead ahead, Verdict verdict) const {
         if (team.rank) return;
         const int start = ahead.turn ? ahead.start : 0;
-        const int values[RESULTS] = {plane.pitch, plane.roll, plane.height, start,
-                                     ahead.turn,  on,         total,        refused};
+        const int values[RESULTS] = {plane.pitch, plane.roll, plane.height,  start,
+                                     ahead.turn,  verdict.on, verdict.total, verdict.refused};
         for (int k = 0; k < RESULTS; k++) out[k] = values[k];
     }
 
@@ -249,17 +238,16 @@ struct Floor {
         }
         ThreadGroup everyone(team, sums);
         refine(everyone, plane, ahead);
-        int found[3];
-        judge(everyone, plane, ahead, found);
-        const long long least = (100LL * found[0] + (long long)FAR_GAIN * found[1]) * number;
+        Verdict verdict = judge(everyone, plane, ahead);
+        const long long least = (100LL * verdict.on + (long long)FAR_GAIN * verdict.total) * number;
         FloorPlane steep = plane;
-        bool far = found[2] == FAR;
-        if (has_prior && !is_near(all[best]) && 100LL * votes[best] * found[1] > least) {
+        bool far = verdict.refused == FAR;
+        if (has_prior && !is_near(all[best]) && 100LL * votes[best] * verdict.total > least) {
             steep = all[best];
             far = true;
         }
         if (far) {
-            found[2] = FAR;
+            verdict.refused = FAR;
             FloorAhead ramp;
             const FloorPlane level = {prior.pitch, steep.roll, prior.height};
             if (has_prior && settings->ramps && is_near(level))
@@ -267,10 +255,10 @@ struct Floor {
             if (is_ahead(ramp)) {
                 plane = level;
                 ahead = ramp;
-                judge(everyone, plane, ahead, found);
+                verdict = judge(everyone, plane, ahead);
             }
         }
-        write(out, plane, ahead, found[0], found[1], found[2]);
+        write(out, plane, ahead, verdict);
     }
 
     bool is_ahead(FloorAhead ramp) const {
@@ -323,13 +311,11 @@ struct Floor {
         if (is_ahead(between)) ahead = between;
     }
 
-    // Judges a floor. Writes its number of inliers to found[0], the number of all cells to found[1],
-    // and the reason of its refusal, or NONE, to found[2].
-    void judge(ThreadGroup& group, FloorPlane plane, FloorAhead ahead, int* found) const {
+    // Judges a floor.
+    Verdict judge(ThreadGroup& group, FloorPlane plane, FloorAhead ahead) const {
         const FloorCells all = cells.part(0, counts[ALL]);
         const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
         const FloorSlack fine(settings->fine, settings->noise, plane.height);
-        const FloorRamps ramp = ramps();
         const int slope = ahead.turn ? angles.slope(ahead.turn) : 0;
         const bool is_flat = !ahead.turn && !ahead.drop;
         const int table_depth = settings->table, step = settings->step;
@@ -340,7 +326,7 @@ struct Floor {
         for (int i = group.rank(); i < all.count; i += group.size()) {
             const int x = all.x[i], y = all.y[i], z = all.z[i];
             const int run = is_flat ? 0 : forward.along(x, y, z);
-            const int up = ramp.rise(ahead.start, slope, run) - (run >= ahead.start ? ahead.drop : 0);
+            const int up = FloorRamps::rise(ahead.start, slope, run) - (run >= ahead.start ? ahead.drop : 0);
             const int deep = down.along(x, y, z) - plane.height + up, s = fine.at(z);
             on += (deep <= s) & (-deep <= s);
             const int most = FloorScore::BELOW * s;
@@ -369,9 +355,7 @@ struct Floor {
             refused = MOSTLY_OBSTACLE;
         else if (1000 * enough < least * total)
             refused = TOO_LITTLE;
-        found[0] = (int)sums[0];
-        found[1] = (int)total;
-        found[2] = refused;
+        return {(int)sums[0], (int)total, refused};
     }
 };
 

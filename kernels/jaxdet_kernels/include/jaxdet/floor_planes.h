@@ -1,7 +1,7 @@
 // Floor planes, and their refinement by least squares, in integers. Twin of
 // jaxdet/reference/_floor_planes.py, which documents the method and the constants.
 #pragma once
-#include "thread_group.h"
+#include "warp.h"
 
 namespace jaxdet { namespace {
 
@@ -78,19 +78,21 @@ struct FloorAngles {
     int sine(int angle) const { return sines[angle + 360 * ANGLES]; }
     int cosine(int angle) const { return sines[angle + 450 * ANGLES]; }
 
-    int product(int a, int b) const {
-        const int bits = 2 * SINE_BITS - FloorDirection::DOWN_BITS;
-        return (a * b + (1 << (bits - 1))) >> bits;
+    // Vectors down, right and forward in the camera frame, with `bits` fraction bits.
+    FloorDirection down(int pitch, int roll, int bits = FloorDirection::DOWN_BITS) const {
+        const int shift = 2 * SINE_BITS - bits, half = 1 << (shift - 1), level = cosine(pitch);
+        return {(sine(roll) * level + half) >> shift, (cosine(roll) * level + half) >> shift,
+                (sine(pitch) * (1 << SINE_BITS) + half) >> shift};
     }
-
-    FloorDirection down(int pitch, int roll) const {
-        const int level = cosine(pitch);
-        return {product(sine(roll), level), product(cosine(roll), level),
-                product(1 << SINE_BITS, sine(pitch))};
+    FloorDirection right(FloorPlane p, int bits = FloorDirection::DOWN_BITS) const {
+        return down(0, p.roll + 90 * ANGLES, bits);
     }
-    FloorDirection right(FloorPlane p) const { return down(0, p.roll + 90 * ANGLES); }
-    FloorDirection down(FloorPlane p) const { return down(p.pitch, p.roll); }
-    FloorDirection forward(FloorPlane p) const { return down(p.pitch + 90 * ANGLES, p.roll); }
+    FloorDirection down(FloorPlane p, int bits = FloorDirection::DOWN_BITS) const {
+        return down(p.pitch, p.roll, bits);
+    }
+    FloorDirection forward(FloorPlane p, int bits = FloorDirection::DOWN_BITS) const {
+        return down(p.pitch + 90 * ANGLES, p.roll, bits);
+    }
 
     // Quotient a / b, rounded down; b must be positive.
     long long quotient(long long a, long long b) const {
@@ -131,6 +133,68 @@ struct FloorKey {
     }
     static int votes(Word key) { return (int)(0x7fffffffu - (unsigned)(key >> 32)); }
     static int number(Word key) { return (int)(unsigned)key; }
+};
+
+// Group of threads of a team that share a task: the complete team, or a warp. On the CPU it is a single
+// thread.
+struct ThreadGroup {
+    enum { WARP = Warp::size, MOST_SUMS = 10, MOST_SHARED = 4 };
+    const Team* team;
+    // For a complete team: two rows of the warps' sums, used alternately. Null if the group is a warp.
+    unsigned long long* rows;
+    int turn;
+
+    // Groups of one warp each.
+    explicit ThreadGroup(const Team& all) : team(&all), rows(nullptr), turn(0) {}
+
+    // A group of the complete team; `scratch` has words(team) words.
+    ThreadGroup(const Team& all, unsigned long long* scratch) : team(&all), rows(scratch), turn(0) {}
+
+    static int words(const Team& all) {
+        return 2 * 2 * MOST_SUMS * ((all.size + WARP - 1) / WARP) + MOST_SHARED;
+    }
+
+    // index, count  index of this group in the team, and number of groups
+    // leads         whether this thread is in the first warp, which does work for the complete team that
+    //               would be the same in all warps
+    // broadcast     sends results of the first warp to the other threads, at most MOST_SHARED values;
+    //               between any two calls there must be a sum
+    // sum           replaces each of at most MOST_SUMS values by its sum over the group; a collective call
+    int rank() const { return rows ? team->rank : team->rank % WARP; }
+    int size() const { return rows ? team->size : (int)WARP; }
+    int index() const { return rows ? 0 : team->rank / WARP; }
+    int count() const { return rows ? 1 : team->size / WARP; }
+    bool leads() const { return rank() < WARP; }
+#if defined(__CUDA_ARCH__)
+    void broadcast(int* values, int n) const {
+        if (!rows) return;
+        volatile int* shared = (volatile int*)(rows + 2 * MOST_SUMS * (team->size / WARP));
+        if (team->rank == 0)
+            for (int k = 0; k < n; k++) shared[k] = values[k];
+        team->sync();
+        for (int k = 0; k < n; k++) values[k] = shared[k];
+    }
+    // A thread that fills a row has passed the sync of the previous sum, which all readers of that row
+    // reached after reading it.
+    void sum(long long* values, int n) {
+        const Warp warp(*team);
+        for (int k = 0; k < n; k++) values[k] = warp.sum(values[k]);
+        if (!rows) return;
+        const int warps = team->size / WARP, lane = team->rank % WARP;
+        unsigned long long* row = rows + turn * warps * MOST_SUMS;
+        turn ^= 1;
+        if (lane == 0)
+            for (int k = 0; k < n; k++) row[team->rank / WARP * MOST_SUMS + k] = values[k];
+        team->sync();
+        long long total = 0;
+        if (lane < n)
+            for (int k = 0; k < warps; k++) total += row[k * MOST_SUMS + lane];
+        for (int k = 0; k < n; k++) values[k] = __shfl_sync(0xffffffffu, total, k);
+    }
+#else
+    void broadcast(int*, int) const {}
+    void sum(long long*, int) {}
+#endif
 };
 
 struct FloorRefine {

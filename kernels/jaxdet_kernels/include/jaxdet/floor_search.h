@@ -105,8 +105,13 @@ struct FloorVotes : FloorSample {
     int padded() const { return (directions() + GROUP - 1) / GROUP * GROUP; }
     // Whether the votes of all directions fit in shared memory.
     bool are_fast() const { return padded() * (bins + 1) <= room; }
-    // First vote of direction d; its other votes follow at intervals of padded() words.
-    int* row_of(int d) const { return (are_fast() ? counts : votes) + d; }
+    // `row_of` is the first vote of direction d; `bin_step` is the number of words from each vote of a
+    // direction to the next. On the CPU the votes of LANES directions are adjacent in memory.
+    int* row_of(int d) const {
+        const int place = Warp::size > 1 ? d : d / LANES * LANES * (bins + 1) + d % LANES;
+        return (are_fast() ? counts : votes) + place;
+    }
+    int bin_step() const { return Warp::size > 1 ? padded() : (int)LANES; }
 
 #if defined(__CUDA_ARCH__)
     // Counts the ends of the ranges of heights that the cells `from` to `to` - 1 vote for. Each lane
@@ -194,7 +199,7 @@ struct FloorVotes : FloorSample {
     // the best bin of the near part and `all` to the best of all bins, each with its votes, packed as
     // in `key`. Writes the votes to `out` unless it is null.
     void sum_up(const Table& table, int k, int cells, int* out, Lanes& nearer, Lanes& all) const {
-        const int step = padded(), from = edge_bins, to = bins - edge_bins;
+        const int step = bin_step(), from = edge_bins, to = bins - edge_bins;
         Lanes sum = Lanes{} - FloorScore::BELOW_COST * cells;
         Lanes most = Lanes{} + (int)NOTHING, highest = most;
         for (int b = 0; b < bins; b++) {
@@ -275,7 +280,7 @@ struct FloorVotes : FloorSample {
             const int pitch = p + k / 3 - 1, roll = r + k % 3 - 1, other = pitch * rolls + roll;
             if (pitch < 0 || pitch >= pitches || roll < 0 || roll >= rolls) continue;
             int* row = row_of(other);
-            const int from = h - APART > 0 ? h - APART : 0, step = padded();
+            const int from = h - APART > 0 ? h - APART : 0, step = bin_step();
             const int to = h + APART + 1 < bins ? h + APART + 1 : bins;
             int most = -0x7fffffff - 1, bin = bins;
             for (int b = warp.lane; b < bins; b += warp.size) {
