@@ -49,22 +49,11 @@ struct Rays {
     }
     static int quotient(int a, int b) { return (int)((double)a / (double)b); }
 
-    // Bits of a float32; for positive floats they have the same order.
-#if defined(__CUDA_ARCH__)
-    static int bits_of(float value) { return __float_as_int(value); }
-    static float float_of(int bits) { return __int_as_float(bits); }
-#else
-    static int bits_of(float value) {
-        int bits;
-        __builtin_memcpy(&bits, &value, sizeof bits);
-        return bits;
-    }
-    static float float_of(int bits) {
+    // A float32 and its bits; those of positive floats have the same order as the floats.
+    union Float {
         float value;
-        __builtin_memcpy(&value, &bits, sizeof value);
-        return value;
-    }
-#endif
+        int bits;
+    };
 
     // Bearing of a point, 0 ahead, clockwise as seen from above.
     __attribute__((always_inline)) int bearing(int right, int forward) const {
@@ -265,7 +254,9 @@ struct Rays {
     // Range of the nearest obstacle on a ray, NONE if there is none.
     __attribute__((always_inline)) int range_of_block(int ray) const {
         if (block[ray] == INFINITE) return NONE;
-        const int range = (int)SquareRoot::rounded(float_of(block[ray]));
+        Float square;
+        square.bits = block[ray];
+        const int range = (int)SquareRoot::rounded(square.value);
         return range > 1 ? range : 1;
     }
 
@@ -292,9 +283,9 @@ struct Rays {
 // in float32 as in the reference, with each operation rounded separately.
 struct RayBlocks {
     // A tile is TILE rows of a column of cells; its nearest point blocks all sectors that the tile
-    // covers. A thread processes the tiles of ABREAST columns together, LANES cells at a time.
+    // covers. A thread processes the tiles of ABREAST columns together.
     enum { TILE = 4, CORNER_BITS = 12, WIDEST = Rays::TURN / 4 };
-    enum { ABREAST = Warp::size > 1 ? 1 : (int)Grid::MOST_COLUMNS, LANES = Warp::size > 1 ? 1 : 8 };
+    enum { ABREAST = Warp::size > 1 ? 1 : (int)Grid::MOST_COLUMNS };
     // Indices of settings: STEP is the step height at depth 0; GROWTH is its increase per depth unit;
     // NOISE is the noise of depth.
     enum { STEP, GROWTH, NOISE, SETTINGS };
@@ -347,27 +338,16 @@ struct RayBlocks {
         const float above = camera - down * depth - ramp;
         const bool is_pixel = (pixel >= nearest) & (pixel <= farthest) & (above <= (float)highest) &
                               (above > higher(step + growth * depth, noise * depth));
-        const float found = (right * right + forward * forward) * (depth * depth);
-        return (is_cell | is_pixel) ? Rays::bits_of(found) : (int)Rays::INFINITE;
+        const Rays::Float found = {(right * right + forward * forward) * (depth * depth)};
+        return (is_cell | is_pixel) ? found.bits : (int)Rays::INFINITE;
     }
 
-    // Lowers N minima of squared ranges to those of the cells k .. k + N - 1.
-    template <int N> __attribute__((always_inline)) void find_least(int k, int* least) const {
-        for (int i = 0; i < N; ++i) {
+    // Lowers n minima of squared ranges to those of the cells from k on.
+    void lower(int* least, int k, int n) const {
+        JAXDET_VECTORIZE
+        for (int i = 0; i < n; ++i) {
             const int found = square(k + i);
             least[i] = found < least[i] ? found : least[i];
-        }
-    }
-
-    // The same for n cells. The last vector overlaps the one before it if n is not a multiple of its
-    // length.
-    __attribute__((always_inline)) void find_least(int k, int n, int* least) const {
-        for (int i = 0; i < n; i += n < LANES ? 1 : (int)LANES) {
-            const int first = i < n - LANES ? i : n - LANES;
-            if (first < 0)
-                find_least<1>(k + i, least + i);
-            else
-                find_least<LANES>(k + first, least + first);
         }
     }
 
@@ -415,7 +395,7 @@ struct RayBlocks {
             int least[ABREAST];
             for (int i = 0; i < n; ++i) least[i] = Rays::INFINITE;
             for (int row = tile * TILE; row < rows && row < (tile + 1) * TILE; ++row)
-                find_least(row * columns + first, n, least);
+                lower(least, row * columns + first, n);
             for (int i = 0; i < n; ++i) {
                 const int* const upper = bearings + tile * (columns + 1) + first + i;
                 const int* const lower = upper + columns + 1;
