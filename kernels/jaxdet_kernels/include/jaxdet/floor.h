@@ -28,38 +28,31 @@ struct FoundFrame {
         const FloorPlane plane = {found[PITCH], found[ROLL], found[HEIGHT]};
         const FloorDirection right = angles.right(plane, BITS), forward = angles.forward(plane, BITS);
         const FloorDirection down = angles.down(plane, BITS);
-        const int turn = found[TURN], slope = (angles.slope(turn) + (1 << (SHIFT - 1))) >> SHIFT;
+        const int slope = (angles.slope(found[TURN]) + (1 << (SHIFT - 1))) >> SHIFT;
         const int values[FloorFrame::VALUES] = {
             right.x, right.y, right.z, forward.x, forward.y, forward.z, down.x, down.y, down.z,
-            plane.height, 1, turn ? found[START] : 0, turn ? slope : 0,
+            plane.height, 1, found[START], slope,
         };
         for (int i = 0; i < FloorFrame::VALUES; ++i) out[i] = values[i];
     }
 };
 
 struct Floor {
+    enum { MIN_CELLS = 50, FAR_GAIN = 5, OBSTACLE = 95 };
+    enum { UNDER = 10, UNDER_PART = 2, UNDER_ALONE = 3, UNDER_PART_ALONE = 8 };
+    // Reasons of a refusal.
+    enum { NONE, TOO_LITTLE, MOSTLY_OBSTACLE, FAR, TABLE };
+    // Indices of `counts`. ALL, INNER, BEFORE and BEYOND are numbers of cells; ENDS begins the indices in
+    // `few` after the last cell of each ring; NEXT begins the indices in `few` at which `take` writes the
+    // next cell of each ring.
+    enum { ALL, INNER, BEFORE, BEYOND, ENDS, NEXT = ENDS + FloorSearch::RINGS };
     enum {
-        MIN_CELLS = 50,
-        FAR_GAIN = 5,
-        OBSTACLE = 95,
-        UNDER = 10,
-        UNDER_PART = 2,
-        UNDER_ALONE = 3,
-        UNDER_PART_ALONE = 8,
+        COUNTS = NEXT + FloorSearch::RINGS,
+        // Numbers of integers of the prior and of the result.
+        PRIOR = 4,
+        RESULTS = FoundFrame::RESULTS,
         // Maximum number of planes that are scored together; a search near a guess has fewer.
         PLANES = FloorSearch::ANY_PLANES,
-        RESULTS = FoundFrame::RESULTS,
-        PRIOR = 4,
-        NONE = 0,
-        TOO_LITTLE = 1,
-        MOSTLY_OBSTACLE = 2,
-        FAR = 3,
-        TABLE = 4,
-        // Indices of `counts`. ALL, INNER, BEFORE and BEYOND are numbers of cells; ENDS begins the
-        // indices in `few` after the last cell of each ring; NEXT begins the indices in `few` at which
-        // `take` writes the next cell of each ring.
-        ALL = 0, INNER = 1, BEFORE = 2, BEYOND = 3, ENDS = 4, NEXT = ENDS + FloorSearch::RINGS,
-        COUNTS = NEXT + FloorSearch::RINGS,
         MOST_THREADS = 256,
         // Number of words of shared memory on CUDA; five blocks fit on a multiprocessor with 228 KB. The
         // CPU has none.

@@ -31,7 +31,7 @@ struct FloorOutlook : FloorRamps {
             limits(team, fine());
             const int alone = flat()[runs()];
             most_alone = alone > most_alone ? alone : most_alone;
-            limit(team, fine(), most_ramp + n);
+            limit(team, most_ramp + n);
             team.sync();
             bool is_new = true;
             for (int k = 0; k < n; k++)
@@ -83,9 +83,7 @@ struct FloorOutlook : FloorRamps {
                !differ(a.height, b.height, settings->alike);
     }
 
-    // `own` is the number of inliers of the plane in all nearer distance bins; `others` is the number
-    // of inliers of the floor beyond the step in this distance bin.
-    int* own() const { return row(5); }
+    // Number of inliers of the floor beyond the step, for each distance bin.
     int* others() const { return row(6); }
 
     // Drop of the floor at candidate step `i` [depth units]; the steps down come first.
@@ -102,12 +100,7 @@ struct FloorOutlook : FloorRamps {
         const int n = runs(), each = FloorScore::BELOW_COST;
         const Warp warp(team);
         if (team.rank == 0) *key = ~0ull;
-        for (int k = team.rank; k < n; k += team.size) {
-            int low;
-            own()[k] = on(k, 0, fine()[k], low);
-        }
-        team.sync();
-        if (warp.index == 0) warp.exclusive_sum(own(), n);
+        if (warp.index == 0) warp.exclusive_sum(own(), n);  // over all nearer bins
         team.sync();
         for (int first = warp.index * TOGETHER; first < STEPS; first += warp.count * TOGETHER) {
             int deep[TOGETHER], rise[TOGETHER];

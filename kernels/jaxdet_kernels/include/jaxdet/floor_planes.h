@@ -117,7 +117,7 @@ struct FloorAngles {
 struct FloorScore {
     enum { BELOW = 4, BELOW_COST = 2 };
 
-    int of(int below, int slack) const {
+    static int of(int below, int slack) {
         const int on = (below <= slack) & (-below <= slack);
         return on - BELOW_COST * (below > BELOW * slack);
     }
@@ -294,21 +294,10 @@ struct FloorRefine {
     }
 
     // Writes pitch and roll of the plane after a round [angle steps] to out[0] and out[1]. `sums` has
-    // the elements of `sums` in `round`.
-    void turn(const long long* sums, FloorPlane plane, int* out) const {
-        int pitch, side;
-        turns(sums, plane, pitch, side);
-        const int wide = 180 * FloorAngles::ANGLES;
-        const long long across = side * (1LL << FloorAngles::SINE_BITS);
-        const int roll = plane.roll + (int)angles.rounded(across, angles.cosine(plane.pitch));
-        out[0] = angles.clipped(plane.pitch + pitch, FloorAngles::STEEPEST);
-        out[1] = roll + wide - (int)angles.quotient(roll + wide, 2 * wide) * 2 * wide - wide;
-    }
-
-    // Solves for the rotations about the right axis, `pitch`, and the forward axis, `side`, by Cramer's
-    // rule [angle steps]. The sum of w (a - m_a) (b - m_b), where m_a and m_b are the rounded means, is
+    // the elements of `sums` in `round`. The rotations about the right and the forward axis are computed
+    // by Cramer's rule. The sum of w (a - m_a) (b - m_b), where m_a and m_b are the rounded means, is
     // computed as sum w a b - m_a sum w b - m_b sum w a + m_a m_b sum w.
-    void turns(const long long* sums, FloorPlane plane, int& pitch, int& side) const {
+    void turn(const long long* sums, FloorPlane plane, int* out) const {
         const long long total = sums[1], we = sums[2], wt = sums[3], ws = sums[4];
         const long long e = angles.rounded(we, total), t = angles.rounded(wt, total);
         const long long s = angles.rounded(ws, total);
@@ -319,11 +308,12 @@ struct FloorRefine {
         long long ss = sums[7] - 2 * s * ws + s * s * total + ridge;
         long long te = sums[8] - t * we - e * wt + t * e * total;
         long long se = sums[9] - s * we - e * ws + s * e * total;
+        const long long one = 1 << FloorAngles::SINE_BITS;
         long long ahead = 0, aside = 0;
         if (is_given) {
             const long long across = (long long)(prior.roll - plane.roll) * angles.cosine(plane.pitch);
             ahead = prior.pitch - plane.pitch;
-            aside = angles.rounded(across, 1 << FloorAngles::SINE_BITS);
+            aside = angles.rounded(across, one);
         }
         te -= angles.rounded(ridge * (ahead * (1 << lever)), FloorAngles::RADIAN);
         se -= angles.rounded(ridge * (aside * (1 << lever)), FloorAngles::RADIAN);
@@ -340,8 +330,12 @@ struct FloorRefine {
         long long det = tt * ss - ts * ts;
         det = (det > 1 ? det : 1) << lever;
         const int r = FloorAngles::RADIAN;
-        pitch = angles.clipped(angles.rounded((se * ts - te * ss) * r, det), LARGEST_TURN);
-        side = angles.clipped(angles.rounded((te * ts - se * tt) * r, det), LARGEST_TURN);
+        const int pitch = angles.clipped(angles.rounded((se * ts - te * ss) * r, det), LARGEST_TURN);
+        const int side = angles.clipped(angles.rounded((te * ts - se * tt) * r, det), LARGEST_TURN);
+        const int roll = plane.roll + (int)angles.rounded(side * one, angles.cosine(plane.pitch));
+        const int wide = 180 * FloorAngles::ANGLES;
+        out[0] = angles.clipped(plane.pitch + pitch, FloorAngles::STEEPEST);
+        out[1] = roll + wide - (int)angles.quotient(roll + wide, 2 * wide) * 2 * wide - wide;
     }
 };
 

@@ -26,6 +26,8 @@ struct FloorRamps : FloorProfile {
     // Upper bound of the votes of any ramp by the cells of this and all farther distance bins, for each
     // distance bin; computed by `limits`.
     int* most() const { return row(2); }
+    // Number of inliers of the plane, for each distance bin; computed by `limits`.
+    int* own() const { return row(5); }
     // Results of `is_seen` per distance bin: number of cells that are inliers of the ramp but not of
     // the plane; number of cells that are not clearly above either, -1 where ramp and plane do not
     // differ.
@@ -41,8 +43,8 @@ struct FloorRamps : FloorProfile {
         return (product + (1 << (FloorAngles::SLOPE_BITS - 1))) >> FloorAngles::SLOPE_BITS;
     }
 
-    // Computes, for each distance bin, the votes for a flat floor and an upper bound of the votes for
-    // any ramp. For each cell it also computes an upper bound of the votes, in the cell's distance bin,
+    // Computes, for each distance bin, the inliers of the plane, the votes for a flat floor and an upper
+    // bound of the votes for any ramp. For each cell it also computes an upper bound of the votes, in the cell's distance bin,
     // for a ramp whose highest inlier there is this cell. Let s be the tolerance and p the height of a
     // ramp in the bin: its inliers are from p - s to p + s, and cells below p - 4 s cost votes. If the
     // highest inlier is at height h, p is at least h - s, so no inlier is below h - 2 s, and all cells
@@ -54,8 +56,8 @@ struct FloorRamps : FloorProfile {
         team.sync();
         for (int k = team.rank; k < runs(); k += team.size) {
             int low;
-            const int here = on(k, 0, slack[k], low);
-            flat()[k] = here - each * low;
+            own()[k] = on(k, 0, slack[k], low);
+            flat()[k] = own()[k] - each * low;
         }
         // The CPU takes up to CELLS cells of a distance bin at a time, and ignores the counts of heights
         // that belong to the next bin.
@@ -88,8 +90,8 @@ struct FloorRamps : FloorProfile {
     }
 
     // Raises `found` to an upper bound of the votes of any ramp: the largest bound of all groups of
-    // ramps with similar start and turn. `limits` must have run with the same tolerance.
-    void limit(const Team& team, const int* slack, int* found) const {
+    // ramps with similar start and turn. `limits` must have run with the fine tolerance.
+    void limit(const Team& team, int* found) const {
         const int *heights = this->heights(), middle_rise = half();
         const int bits = settings->rise_bits;
         for (int first = team.rank * ABREAST; first < STARTS * SECTORS; first += team.size * ABREAST) {
@@ -105,7 +107,7 @@ struct FloorRamps : FloorProfile {
                 votes[w] = 0;
             }
             for (int k = 0; k < runs(); k++) {
-                const int from = begin()[k], to = begin()[k + 1], run = middle(k), s = slack[k];
+                const int from = begin()[k], to = begin()[k + 1], run = middle(k), s = fine()[k];
                 if (from == to) continue;
                 const int level = flat()[k + 1] - flat()[k];
                 int lowest[ABREAST], highest[ABREAST], most[ABREAST];
@@ -221,17 +223,17 @@ struct FloorRamps : FloorProfile {
             votes = FloorKey::votes(*key);
             found = {start_of(found, m / turns), turn_of(found, m % turns)};
         }
-        return is_seen(team, found, fine());
+        return is_seen(team, found);
     }
 
     // Whether the ramp is visible close to its start and over some distance. Of the cells that are not
     // clearly above the floor, at the distances where ramp and plane differ, at least MIN_SHARE percent
     // must be inliers of the ramp but not of the plane.
-    bool is_seen(const Team& team, FloorAhead ramp, const int* slack) const {
+    bool is_seen(const Team& team, FloorAhead ramp) const {
         const int slope = angles.slope(ramp.turn);
         const bool uphill = ramp.turn > 0;
         for (int k = team.rank; k < runs(); k += team.size) {
-            const int up = rise(ramp.start, slope, middle(k)), s = slack[k];
+            const int up = rise(ramp.start, slope, middle(k)), s = fine()[k];
             const bool distinct = up > s || -up > s;
             // If the tolerances of ramp and plane overlap, a cell belongs to the plane.
             int low = up - s, high = up + s;

@@ -259,11 +259,13 @@ struct FloorVotes : FloorSample {
         team.sync();
         const int all = padded(), on_cuda = Warp::size > 1;
         const bool is_packed = on_cuda && !are_fast() && cells.count <= Table::MOST_PACKED;
+        // Number of directions that fit in shared memory. If there are none, all are counted at once.
         const int fits = room / (is_packed ? bins / 2 + 1 : bins + 1) / GROUP * GROUP;
-        const int most = on_cuda ? fits : (int)LANES, span = most && most < all ? most : all;
+        const int most = on_cuda ? fits : (int)LANES, span = most ? most : all;
         for (int first = 0; first < all; first += span)
-            run(team, first, {most ? counts : votes, all - first < span ? all - first : span,
-                              most > 0, is_packed && most});
+            run(team, first, {most ? counts : votes,
+                              on_cuda && all - first < span ? all - first : span, most > 0,
+                              is_packed && most});
         team.sync();
     }
 
@@ -386,11 +388,10 @@ struct FloorSearch : FloorSample {
             const FloorPlane plane = planes[n];
             const FloorDirection down = angles.down(plane);
             const FloorSlack fine(settings->fine, settings->noise, plane.height);
-            const FloorScore each{};
             const int height = plane.height, to = cells.count * (part + 1) / parts;
             int sum = 0;
             for (int i = cells.count * part / parts + warp.lane; i < to; i += Warp::size)
-                sum += each.of(down.along(xs[i], ys[i], zs[i]) - height, fine.at(zs[i]));
+                sum += FloorScore::of(down.along(xs[i], ys[i], zs[i]) - height, fine.at(zs[i]));
             sum = warp.sum(sum);
             if (warp.lane == 0) team.atomic_add(votes + n, sum);
         }

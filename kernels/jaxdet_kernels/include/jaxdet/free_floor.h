@@ -75,16 +75,12 @@ struct FreeFloor {
     void run(const FloorFrame& frame) {
         const int aside = frame.axes[6], upright = frame.axes[7];  // of the down vector
         turned = upright < 0;
-        if ((aside < 0 ? -aside : aside) <= (upright < 0 ? -upright : upright)) {
-            run();
+        if ((aside < 0 ? -aside : aside) > (upright < 0 ? -upright : upright)) {
+            for (int k = team.rank; k < 4 * columns; k += team.size) line_out[k] = 0;
+            for (int c = team.rank; c < columns; c += team.size) end_out[c] = UNKNOWN;
+            team.sync();
             return;
         }
-        for (int k = team.rank; k < 4 * columns; k += team.size) line_out[k] = 0;
-        for (int c = team.rank; c < columns; c += team.size) end_out[c] = UNKNOWN;
-        team.sync();
-    }
-
-    void run() const {
         for (int left = team.rank * ABREAST; left < columns; left += team.size * ABREAST) {
             const bool fits = ABREAST == 1 || columns - left >= ABREAST;
             const int n = fits ? (int)ABREAST : columns - left;
