@@ -56,16 +56,16 @@ struct FloorVotes : FloorSample {
 
     int directions() const { return pitches * rolls; }
 
-    FloorDirection direction(int d) const {
-        const int pitch = pitch0 + d / rolls * step;
-        return angles.down(angles.clipped(pitch, FloorAngles::STEEPEST), roll0 + d % rolls * step);
-    }
-
-    FloorPlane plane(unsigned long long key) const {
-        const int index = FloorKey::number(key), d = index / bins;
+    // Plane of direction d and height bin `bin`.
+    FloorPlane plane(int d, int bin) const {
         const int pitch = angles.clipped(pitch0 + d / rolls * step, FloorAngles::STEEPEST);
-        return {pitch, roll0 + d % rolls * step, lowest + ((index - d * bins) << bits)};
+        return {pitch, roll0 + d % rolls * step, lowest + (bin << bits)};
     }
+    FloorPlane plane(unsigned long long key) const {
+        const int index = FloorKey::number(key);
+        return plane(index / bins, index % bins);
+    }
+    FloorDirection direction(int d) const { return angles.down(plane(d, 0)); }
 
     // `FloorKey` of direction d and height bin `bin`.
     unsigned long long key(int votes, int d, int bin) const {
