@@ -2,7 +2,6 @@
 // jaxdet/reference/_free.py.
 #pragma once
 #include "floor_frame.h"
-#include "rays.h"
 #include "warp.h"
 
 namespace jaxdet { namespace {

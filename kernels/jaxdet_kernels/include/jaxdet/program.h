@@ -7,6 +7,7 @@
 #include "notches.h"
 #include "obstacles.h"
 #include "outlines.h"
+#include "rays.h"
 #include "surfaces.h"
 
 #if defined(__CUDA_ARCH__)
@@ -154,8 +155,8 @@ struct Frame {
         FreeFloor by_column{team, rows, columns, of[FreeFloor::FAR], of[FreeFloor::GAP], label, z,
                             right, forward, above, (const bool*)low, bows, drops, parts.line, parts.end,
                             parts.falls, false};
-        const Rays found{team, columns, bearings, ray_directions, parts.line, parts.end, parts.start,
-                         parts.stop, parts.block, parts.polar, of[FreeFloor::HALF_TURN]};
+        const Rays found{by_column, bearings, ray_directions, parts.start, parts.stop, parts.block,
+                         parts.polar, of[FreeFloor::HALF_TURN]};
         by_column.run(floor_frame);
         const int slope = Surfaces::noise(floor_frame, surface_settings[Surfaces::NOISE]);
         const Notches notches{by_column, of, rises, slope, parts.polar, parts.start, parts.stop, label,
@@ -165,8 +166,7 @@ struct Frame {
         found.find_points();
         const bool inside = found.is_foot_inside();
         found.add_floor(inside);
-        RayBlocks(of[FreeFloor::NEAREST], of[FreeFloor::IN_RANGE], of[FreeFloor::HIGHEST], rows,
-                  columns, floor_frame, low, nearest, z, above, rays, tile_corners, block_settings)
+        RayBlocks(by_column, of, floor_frame, nearest, rays, tile_corners, block_settings)
             .run(found, parts.corners);
         found.put(inside, free_ranges, free_end);
     }

@@ -2,7 +2,7 @@
 // Lengths are in depth units. Twin of jaxdet/reference/_rays.py.
 #pragma once
 #include "cells.h"
-#include "floor_frame.h"
+#include "free_floor.h"
 #include "grid.h"
 #include "square_root.h"
 
@@ -22,16 +22,12 @@ struct Rays {
         NONE = 0x7fffffff,
         INFINITE = 0x7f800000  // infinity as float32
     };
-    enum { UNKNOWN, OBSTACLE };  // as in FreeFloor
     // Point on the floor: position, bearing in units of 1 / TURN of a turn, and range from the foot.
     struct Point { int right, forward, bearing, range; };
 
-    const Team& team;
-    int columns;
+    const FreeFloor& floor;  // free floor; its columns must have been traced
     const int* angles;       // (2^RATIO_BITS + 1,) bearings up to an eighth of a turn, by tangent
     const int* directions;   // (2, RAYS, 2): directions of rays, and of the left edges of their sectors
-    // Start and end of the floor of each column, (columns, 2, 2), and reason of its end, (columns,).
-    const int *line, *ends;
     // For each ray: start of the floor; end of the floor, as in `packed`; squared range of the nearest
     // obstacle, as the bits of a float32.
     int *start, *stop, *block;
@@ -93,37 +89,38 @@ struct Rays {
     static int packed(int range, int why) { return range << END_BITS | ((why - 1) & 3); }
 
     void begin() const {
-        for (int i = team.rank; i < RAYS; i += team.size) {
+        for (int i = floor.team.rank; i < RAYS; i += floor.team.size) {
             start[i] = -1;
             stop[i] = NONE;
             block[i] = INFINITE;
         }
-        team.sync();
+        floor.team.sync();
     }
 
     // Start (`which` 0) or end (1) of the floor of column c.
     Point end_point(int c, int which) const {
         const int k = 2 * c + which;
-        return {line[2 * k], line[2 * k + 1], polar[2 * k], polar[2 * k + 1]};
+        return {floor.line_out[2 * k], floor.line_out[2 * k + 1], polar[2 * k], polar[2 * k + 1]};
     }
     Point near(int c) const { return end_point(c, 0); }
     Point far(int c) const { return end_point(c, 1); }
 
     void find_points() const {
-        for (int k = team.rank; k < 2 * columns; k += team.size) {
-            const Point p = point(line[2 * k], line[2 * k + 1]);
+        for (int k = floor.team.rank; k < 2 * floor.columns; k += floor.team.size) {
+            const Point p = point(floor.line_out[2 * k], floor.line_out[2 * k + 1]);
             polar[2 * k] = p.bearing;
             polar[2 * k + 1] = p.range;
         }
-        team.sync();
+        floor.team.sync();
     }
 
     // Whether floor is visible in a column, not only an obstacle.
     bool is_seen(int c) const {
-        if (c < 0 || c >= columns) return false;
+        if (c < 0 || c >= floor.columns) return false;
         const Point a = near(c), b = far(c);
         const bool any = a.right || a.forward || b.right || b.forward;
-        return any && !(a.right == b.right && a.forward == b.forward && ends[c] == OBSTACLE);
+        const bool is_point = a.right == b.right && a.forward == b.forward;
+        return any && !(is_point && floor.end_out[c] == FreeFloor::OBSTACLE);
     }
 
     // Whether the floor of a column begins behind the foot and ends in front of it. If so, sets
@@ -139,12 +136,12 @@ struct Rays {
 
     bool is_foot_inside() const {
         bool found = false;
-        for (int c = team.rank; c + 1 < columns; c += team.size) {
+        for (int c = floor.team.rank; c + 1 < floor.columns; c += floor.team.size) {
             long long one = 0, other = 0;
             if (!passes(c, &one) || !passes(c + 1, &other)) continue;
             found |= (one < other ? one : other) <= 0 && (one < other ? other : one) >= 0;
         }
-        return team.any(found);
+        return floor.team.any(found);
     }
 
     // Calls `put` with each sector that a segment crosses and with the smallest or the largest range of
@@ -175,16 +172,16 @@ struct Rays {
 
     void end_at(Point first, Point last, int why) const {
         sweep<true>(first, last, [&](int ray, int range) {
-            team.atomic_min(stop + ray, packed(range, why));
+            floor.team.atomic_min(stop + ray, packed(range, why));
         });
     }
 
     void begin_at(Point first, Point last, bool foot_inside) const {
         if (foot_inside)
-            end_at(first, last, UNKNOWN);
+            end_at(first, last, FreeFloor::UNKNOWN);
         else
             sweep<false>(first, last, [&](int ray, int range) {
-                team.atomic_max(start + ray, range);
+                floor.team.atomic_max(start + ray, range);
             });
     }
 
@@ -199,8 +196,8 @@ struct Rays {
     void add_side(int c, int by, bool foot_inside) const {
         const Point begin = turned(near(c), by), end = turned(far(c), by);
         begin_at(near(c), begin, foot_inside);
-        end_at(far(c), end, ends[c]);
-        end_at(end, begin, UNKNOWN);
+        end_at(far(c), end, floor.end_out[c]);
+        end_at(end, begin, FreeFloor::UNKNOWN);
     }
 
     // Adds the far boundary of the floor between column c and the next one, as three segments. The
@@ -225,15 +222,15 @@ struct Rays {
         const int over = wider ? ahead : 1;
         const Point last = point(b.right + (int)floored((middle.right - right) * times, over),
                                  b.forward + (int)floored((middle.forward - ahead) * times, over));
-        const int why = ends[brief];
+        const int why = floor.end_out[brief];
         end_at(first, middle, why);
-        end_at(middle, last, why == OBSTACLE ? (int)UNKNOWN : why);
-        end_at(last, b, ends[lasting]);
+        end_at(middle, last, why == FreeFloor::OBSTACLE ? (int)FreeFloor::UNKNOWN : why);
+        end_at(last, b, floor.end_out[lasting]);
     }
 
     // Adds the polygon of floor that the columns show. Ends in a sync.
     void add_floor(bool foot_inside) const {
-        for (int c = team.rank; c < columns; c += team.size) {
+        for (int c = floor.team.rank; c < floor.columns; c += floor.team.size) {
             if (!is_seen(c)) continue;
             if (!is_seen(c - 1)) add_side(c, -turn, foot_inside);
             if (!is_seen(c + 1)) {
@@ -243,7 +240,7 @@ struct Rays {
             begin_at(near(c), near(c + 1), foot_inside);
             add_between(c);
         }
-        team.sync();
+        floor.team.sync();
     }
 
     // Range at which the floor on a ray ends, according to the columns; 0 if they show no floor there.
@@ -263,18 +260,19 @@ struct Rays {
     // Writes start and end of the free floor on each ray to `free_out` (RAYS, 2), and the reason of its
     // end to `end_out` (RAYS,). The team must have synced before. Ends in a sync.
     void put(bool foot_inside, int* free_out, int* end_out) const {
-        for (int i = team.rank; i < RAYS; i += team.size) {
+        for (int i = floor.team.rank; i < RAYS; i += floor.team.size) {
             const int blocked = range_of_block(i);
-            const int least = blocked < floor_end(i, foot_inside) ? packed(blocked, OBSTACLE)
-                                                                  : (int)NONE;
+            const bool ends_here = blocked < floor_end(i, foot_inside);
+            const int least = ends_here ? packed(blocked, FreeFloor::OBSTACLE) : (int)NONE;
             const int last = stop[i] < least ? stop[i] : least, from = foot_inside ? 0 : start[i];
             const bool free = from >= 0 && last < NONE && from < last >> END_BITS;
             const bool stands = blocked < NONE;
             free_out[2 * i] = free ? from : stands ? blocked : 0;
             free_out[2 * i + 1] = free ? last >> END_BITS : stands ? blocked : 0;
-            end_out[i] = free ? (last + 1) & 3 : stands ? (int)OBSTACLE : (int)UNKNOWN;
+            const int why = stands ? FreeFloor::OBSTACLE : FreeFloor::UNKNOWN;
+            end_out[i] = free ? (last + 1) & 3 : why;
         }
-        team.sync();
+        floor.team.sync();
     }
 };
 
@@ -289,10 +287,9 @@ struct RayBlocks {
     // Indices of settings: STEP is the step height at depth 0; GROWTH is its increase per depth unit;
     // NOISE is the noise of depth.
     enum { STEP, GROWTH, NOISE, SETTINGS };
+    const FreeFloor& floor;  // the cells
     int nearest, farthest, highest;  // minimum and maximum depth, and maximum height, of obstacles
-    int rows, columns;
-    const unsigned char* low;
-    const int *pixels, *z, *height;
+    const int* pixels;  // smallest measured depth of each cell
     // Rays of cells, (2, rows, columns), and of corners of tiles, (2, tiles + 1, columns + 1).
     const int *rays, *corners;
     // Axes of the floor, the first two components for rays with RAY_BITS fraction bits; height of the
@@ -300,12 +297,11 @@ struct RayBlocks {
     float axes[3][3], camera, step, growth, noise, ramp_start, ramp_slope;
 
     // If the floor is unknown, all points get the same height, so that all of them may be obstacles.
-    RayBlocks(int nearest, int farthest, int highest, int rows, int columns,
-              const FloorFrame& frame, const unsigned char* low, const int* pixels, const int* z,
-              const int* height, const int* rays, const int* corners, const float* settings)
-        : nearest(nearest), farthest(farthest),
-          highest(frame.valid ? highest : (int)FloorFrame::UNKNOWN), rows(rows), columns(columns),
-          low(low), pixels(pixels), z(z), height(height), rays(rays), corners(corners),
+    RayBlocks(const FreeFloor& floor, const int* bounds, const FloorFrame& frame, const int* pixels,
+              const int* rays, const int* corners, const float* settings)
+        : floor(floor), nearest(bounds[FreeFloor::NEAREST]), farthest(bounds[FreeFloor::IN_RANGE]),
+          highest(frame.valid ? bounds[FreeFloor::HIGHEST] : (int)FloorFrame::UNKNOWN),
+          pixels(pixels), rays(rays), corners(corners),
           camera((float)(frame.valid ? frame.height : (int)FloorFrame::UNKNOWN)),
           step(settings[STEP]), growth(settings[GROWTH]),
           noise(settings[NOISE] * higher((float)frame.height, 0.0f)),
@@ -328,11 +324,11 @@ struct RayBlocks {
     // Squared range of the obstacle in cell k from the foot, as the bits of a float32; infinity if the
     // cell has no obstacle.
     __attribute__((always_inline)) int square(int k) const {
-        const int pixel = pixels[k], own = z[k], high = height[k];
+        const int pixel = pixels[k], own = floor.z[k], high = floor.height[k];
         const bool is_cell =
-            (own >= nearest) & (own <= farthest) & (low[k] == 0) & (high <= highest);
+            (own >= nearest) & (own <= farthest) & !floor.low[k] & (high <= highest);
         const float depth = (float)((is_cell & (pixel < nearest)) ? own : pixel);
-        const float x = (float)rays[k], y = (float)rays[rows * columns + k];
+        const float x = (float)rays[k], y = (float)rays[floor.rows * floor.columns + k];
         const float right = along(0, x, y), forward = along(1, x, y), down = along(2, x, y);
         const float ramp = higher(forward * depth - ramp_start, 0.0f) * ramp_slope;
         const float above = camera - down * depth - ramp;
@@ -353,14 +349,15 @@ struct RayBlocks {
 
     // Bearing of corner k of tiles.
     __attribute__((always_inline)) int bearing(const Rays& to, int k) const {
-        const float x = (float)corners[k], y = (float)corners[num_corners(rows, columns) + k];
+        const int all = num_corners(floor.rows, floor.columns);
+        const float x = (float)corners[k], y = (float)corners[all + k];
         return to.bearing((int)(along(0, x, y) * (1 << CORNER_BITS)),
                           (int)(along(1, x, y) * (1 << CORNER_BITS)));
     }
 
-    int tiles() const { return (rows + TILE - 1) / TILE; }
+    static int tiles(int rows) { return (rows + TILE - 1) / TILE; }
     static int num_corners(int rows, int columns) {
-        return ((rows + TILE - 1) / TILE + 1) * (columns + 1);
+        return (tiles(rows) + 1) * (columns + 1);
     }
 
     // Adds the nearest point of a tile to the sectors between its corners, or to all sectors if the
@@ -378,18 +375,19 @@ struct RayBlocks {
         const int end = wide ? (int)Rays::RAYS - 1 : Rays::sector(a + right);
         for (int s = begin; s <= end; ++s) {
             int* const place = to.block + Rays::wrapped(s);
-            if (square < *place) to.team.atomic_min(place, square);
+            if (square < *place) to.floor.team.atomic_min(place, square);
         }
     }
 
     // Adds all tiles; `bearings` has a word per corner. Ends in a sync.
     void run(const Rays& to, int* bearings) const {
-        const Team& team = to.team;
+        const Team& team = floor.team;
+        const int rows = floor.rows, columns = floor.columns;
         const int all = num_corners(rows, columns), groups = (columns + ABREAST - 1) / ABREAST;
         JAXDET_VECTORIZE
         for (int k = team.rank; k < all; k += team.size) bearings[k] = bearing(to, k);
         team.sync();
-        for (int group = team.rank; group < tiles() * groups; group += team.size) {
+        for (int group = team.rank; group < tiles(rows) * groups; group += team.size) {
             const int tile = group / groups, first = group % groups * ABREAST;
             const int n = columns - first < ABREAST ? columns - first : (int)ABREAST;
             int least[ABREAST];
