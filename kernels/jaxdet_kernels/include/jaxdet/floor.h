@@ -319,7 +319,8 @@ struct Floor {
         for (int i = group.rank(); i < all.count; i += group.size()) {
             const int x = all.x[i], y = all.y[i], z = all.z[i];
             const int run = is_flat ? 0 : forward.along(x, y, z);
-            const int up = FloorRamps::rise(ahead.start, slope, run) - (run >= ahead.start ? ahead.drop : 0);
+            const int rise = FloorRamps::rise(ahead.start, slope, run);
+            const int up = rise - (run >= ahead.start ? ahead.drop : 0);
             const int deep = down.along(x, y, z) - plane.height + up, s = fine.at(z);
             on += (deep <= s) & (-deep <= s);
             const int most = FloorScore::BELOW * s;

@@ -18,7 +18,7 @@ struct FloorProfile {
     enum {
         // Number of arrays with a value per distance bin. In this order they hold: index of the bin's
         // first cell; votes for a flat floor; upper bound of votes; two tolerances; two counts of the
-        // cells of a ramp or a step; index at which `sort` writes the bin's next cell.
+        // cells of the plane, a ramp or a step; index at which `sort` writes the bin's next cell.
         ROW_ARRAYS = 8
     };
     FloorAngles angles;

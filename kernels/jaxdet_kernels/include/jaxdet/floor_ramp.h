@@ -44,11 +44,11 @@ struct FloorRamps : FloorProfile {
     }
 
     // Computes, for each distance bin, the inliers of the plane, the votes for a flat floor and an upper
-    // bound of the votes for any ramp. For each cell it also computes an upper bound of the votes, in the cell's distance bin,
-    // for a ramp whose highest inlier there is this cell. Let s be the tolerance and p the height of a
-    // ramp in the bin: its inliers are from p - s to p + s, and cells below p - 4 s cost votes. If the
-    // highest inlier is at height h, p is at least h - s, so no inlier is below h - 2 s, and all cells
-    // below h - 5 s cost votes.
+    // bound of the votes for any ramp. For each cell it also computes an upper bound of the votes, in
+    // the cell's distance bin, for a ramp whose highest inlier there is this cell. Let s be the tolerance
+    // and p the height of a ramp in the bin: its inliers are from p - s to p + s, and cells below p - 4 s
+    // cost votes. If the highest inlier is at height h, p is at least h - s, so no inlier is below
+    // h - 2 s, and all cells below h - 5 s cost votes.
     void limits(const Team& team, const int* slack) const {
         const int bits = settings->rise_bits, each = FloorScore::BELOW_COST;
         const int *heights = this->heights(), *at = places + 3 * cells.count;
