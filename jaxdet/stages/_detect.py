@@ -95,7 +95,7 @@ def _run_steps(
         return Rows(*program(depth, floors, tables, output_dims=dims)[:3])
 
     def on_cuda() -> Rows:
-        teams = most_teams(batch, static.own_words, kernels.BLOCKS)
+        teams = most_teams(batch, static.own_words)
         found = call(True, (teams, static.own_words))
         return found if keep_work else found._replace(work=found.work[:1, :1])
 

@@ -113,7 +113,7 @@ def packed(sizes: Sizes, tables: Mapping[str, Array], device: Any) -> np.ndarray
     header = Static(rows, columns, 0)
     found[: len(header) + len(more) + len(places)] = *header, *more, *places
     found[: len(header)] = header._replace(
-        own_words=reported_words(kernels, [found, rows, columns], device)
+        own_words=reported_words(kernels.scratch_words, [found, rows, columns], device)
     )
     return found
 
