@@ -56,6 +56,9 @@ def align_arrays(
     if not tables:
         found = depth[jnp.arange(len(depth))[:, None], v, u]
         return found, found
+    missing = [(0, max(kernels.TILE - side, 0)) for side in depth.shape[1:]]
+    if any(more for _, more in missing):  # the kernel needs at least one complete tile
+        depth = jnp.pad(depth, [(0, 0), *missing])
     with jax.named_scope("align"):
         (keys,) = _align(depth, *tables, u, v, size=size, output_dims={"keys": u.shape})
         return (keys >> 16).astype(jnp.uint16), (keys & 0xFFFF).astype(jnp.uint16)
@@ -67,6 +70,8 @@ def tables(calibration: Calibration) -> Tables:
     if calibration.is_aligned:
         return ()
     rays, image = np.stack(corner_rays(calibration.depth)), calibration.image
+    missing = [(0, max(kernels.TILE + 1 - side, 0)) for side in rays.shape[1:]]
+    rays = np.pad(rays, [(0, 0), *missing], "edge")
     numbers = *parameters(calibration), image.height, image.width
     return tuple(jnp.asarray(a) for a in (rays, tile_rays(rays), np.array(numbers, np.float32)))
 
@@ -88,7 +93,6 @@ def tile_rays(rays: np.ndarray) -> np.ndarray:
 def _over_tiles(extreme: np.ufunc, image: np.ndarray) -> np.ndarray:
     """Reduce the corners of each tile's pixels, to ``(tiles,)``; tiles as in ``alignment.h``."""
     for axis, size in enumerate(image.shape):
-        first = np.minimum(np.arange(0, size - 1, kernels.TILE), max(size - 1 - kernels.TILE, 0))
-        corners = [np.minimum(first + i, size - 1) for i in range(kernels.TILE + 1)]
-        image = extreme.reduce([np.take(image, c, axis) for c in corners])
+        first = np.minimum(np.arange(0, size - 1, kernels.TILE), size - 1 - kernels.TILE)
+        image = extreme.reduce([np.take(image, first + i, axis) for i in range(kernels.TILE + 1)])
     return image.ravel()
