@@ -94,14 +94,10 @@ def frame_kernel(
         def on(teams: int) -> Any:
             return program(*inputs, output_dims={**output_dims, "scratch": (teams, room)})[:-1]
 
-        return by_device(lambda: on(1), lambda: on(most_teams(len(inputs[0]), room)))
+        most = most_teams(len(inputs[0]), room)
+        return jax.lax.platform_dependent(cpu=lambda: on(1), cuda=lambda: on(most))
 
     return call
-
-
-def by_device(cpu: Callable[[], Any], cuda: Callable[[], Any]) -> Any:
-    """Return the result of one of two functions, by the platform of a jitted program."""
-    return jax.lax.platform_dependent(cpu=cpu, cuda=cuda)
 
 
 def prepare(module: Any) -> None:

@@ -56,14 +56,6 @@ def _memory(thread: int, words: int) -> Any:
     return _kept[thread]
 
 
-def filled(struct: Any, **fields: Any) -> Any:
-    """Return an instance of a Warp struct with these fields."""
-    made = struct()
-    for name, value in fields.items():
-        setattr(made, name, value)
-    return made
-
-
 def reported_words(kernel: Any, inputs: Sequence[Any], device: Any) -> int:
     """Return the number of words of scratch memory per thread or team, as a kernel reports it.
 

@@ -15,6 +15,8 @@ struct CornerSettings {
     double quality;   // minimum strength of a corner, as a fraction of the largest strength
 };
 
+typedef unsigned long long CornerKey;  // strength << 32 | place, see PixelBits::place
+
 // Sums of products of gradients [2^-31] over pixels of a column, and over windows. A pixel is 0 or 255,
 // so a gradient takes few values: dx = h k in float32, h = -4 .. 4, and dy = g k - g' k, g = 0 .. 4.
 // Their products are multiples of 2^-31, so integer sums are exact and independent of the order.
@@ -52,7 +54,7 @@ union FloatBits {
 //
 // A warp processes a word of 32 pixels: on CUDA one pixel per lane, on the CPU several per vector.
 struct CornerMaxima {
-    typedef unsigned long long Word, Key;  // a key is strength << 32 | place
+    typedef unsigned long long Word;
 
     const unsigned* edges;    // (height, outer_words(width)) edge bitmap, from `mirror`
     int height, width;
@@ -61,7 +63,7 @@ struct CornerMaxima {
     int* list;                // (height * PixelBits::words(width)) words that may contain corners
     int* strength;            // size strengths(height, width): strengths as bits of floats, 0 if not a
                               // corner
-    Key* keys;                // (height * width) maxima, unordered
+    CornerKey* keys;                // (height * width) maxima, unordered
 
     enum { MARGIN = 2, WORD = 32 };  // padding words on each side of a row of edges; pixels per word
 
@@ -214,18 +216,16 @@ struct CornerMaxima {
             const int l = BitRows::lowest(left);
             if (l % warp.size == warp.lane)
                 keys[team.atomic_count(count)] =
-                    (Key)(unsigned)at[l] << 32 | (unsigned)PixelBits::place(WORD * w + l, y);
+                    (CornerKey)(unsigned)at[l] << 32 | (unsigned)PixelBits::place(WORD * w + l, y);
         }
     }
 };
 
 // Sorts distinct 64-bit keys in descending order: a bitonic network on CUDA, a radix sort on the CPU.
 struct KeySort {
-    typedef unsigned long long Key;
-
     // `other` is scratch memory of the same length as `keys`. Ends in a sync.
 #if defined(__CUDA_ARCH__)
-    static void run(const Team& team, Key* keys, Key*, int count) {
+    static void run(const Team& team, CornerKey* keys, CornerKey*, int count) {
         for (int run = 2; run < 2 * count; run *= 2)
             // The first exchange of a run pairs mirrored positions, so that all exchanges have the same
             // direction and positions beyond the last key need not exist.
@@ -233,7 +233,7 @@ struct KeySort {
                 for (int i = team.rank; i < count; i += team.size) {
                     const int partner = i ^ mask;
                     if (partner <= i || partner >= count || keys[i] > keys[partner]) continue;
-                    const Key swap = keys[i];
+                    const CornerKey swap = keys[i];
                     keys[i] = keys[partner];
                     keys[partner] = swap;
                 }
@@ -241,9 +241,9 @@ struct KeySort {
             }
     }
 #else
-    static void run(const Team&, Key* keys, Key* other, int count) {
+    static void run(const Team&, CornerKey* keys, CornerKey* other, int count) {
         enum { BITS = 8, BINS = 1 << BITS };
-        Key differ = 0, *from = keys, *to = other;
+        CornerKey differ = 0, *from = keys, *to = other;
         for (int i = 1; i < count; ++i) differ |= keys[i] ^ keys[0];
         for (int shift = 0; shift < 64 && differ >> shift; shift += BITS) {
             if (!(differ >> shift & (BINS - 1))) continue;
@@ -253,7 +253,7 @@ struct KeySort {
             for (int i = 1; i < BINS; ++i) bins[i] += bins[i - 1];
             for (int i = 0; i < count; ++i)
                 to[bins[BINS - 1 - (from[i] >> shift & (BINS - 1))]++] = from[i];
-            Key* const swap = from;
+            CornerKey* const swap = from;
             from = to;
             to = swap;
         }
@@ -267,8 +267,6 @@ struct KeySort {
 // corners in reverse raster order), a corner is accepted unless an accepted corner is closer than the
 // distance.
 struct CornerSelection {
-    typedef unsigned long long Key;  // strength << 32 | place
-
     int height, width;
     int limit;            // square of the minimum distance, rounded up; 0: no minimum
     int slots;
@@ -277,10 +275,10 @@ struct CornerSelection {
     unsigned* blocked;    // (height, PixelBits::words(width)) pixels close to an accepted corner
     // (height) half-width of the disk by vertical distance from its centre; -1: outside
     int* halves;
-    Key* other;           // (count) memory for sorting keys
+    CornerKey* other;           // (count) memory for sorting keys
 
     // Selects corners; returns their number, at most slots + 1. One warp selects.
-    int run(const Team& team, Key* keys, int count) const {
+    int run(const Team& team, CornerKey* keys, int count) const {
         const int words = PixelBits::words(width);
         for (int i = team.rank; i < height * words; i += team.size) blocked[i] = 0;
         for (int dy = team.rank; dy < height; dy += team.size) halves[dy] = half(dy);
@@ -305,7 +303,7 @@ struct CornerSelection {
 
     // A warp tests one corner per lane, accepts the first that is not blocked, and tests the others
     // again.
-    int take(const Warp& warp, const Key* keys, int count) const {
+    int take(const Warp& warp, const CornerKey* keys, int count) const {
         int taken = 0;
         for (int start = 0; start < count && taken <= slots; start += warp.size) {
             const int i = start + warp.lane, place = i < count ? (int)(unsigned)keys[i] : 0;
@@ -348,8 +346,6 @@ struct CornerSelection {
 };
 
 struct Corners {
-    typedef unsigned long long Word;
-
     int height, width;
     CornerSettings settings;
     int slots;
@@ -367,7 +363,7 @@ struct Corners {
     struct Scratch {
         unsigned *weak, *edges, *mirrored, *blocked;
         int *list, *halves, *strength;
-        Word *keys, *other;
+        CornerKey *keys, *other;
 
         Scratch(Arena& arena, int height, int width) {
             arena.take(height * PixelBits::words(width), weak, edges, blocked, list);
@@ -391,8 +387,8 @@ struct Corners {
         const Scratch scratch(arena, height, width);
         Canny{color, height, width, settings.low, settings.high, scratch.weak, scratch.edges}
             .run(team, shared.tile);
-        Hysteresis{height, PixelBits::words(width) / 2, (const Word*)scratch.weak,
-                   (Word*)scratch.edges}.run(team);
+        Hysteresis{height, PixelBits::words(width) / 2, (const Hysteresis::Word*)scratch.weak,
+                   (Hysteresis::Word*)scratch.edges}.run(team);
         CornerMaxima::mirror(team, scratch.edges, scratch.mirrored, height, width);
         const int maxima = CornerMaxima{scratch.mirrored, height, width, settings.quality,
                                         scratch.list, scratch.strength, scratch.keys}
