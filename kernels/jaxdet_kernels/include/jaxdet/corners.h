@@ -56,7 +56,7 @@ union FloatBits {
 struct CornerMaxima {
     typedef unsigned long long Word;
 
-    const unsigned* edges;    // (height, outer_words(width)) edge bitmap, from `mirror`
+    const unsigned* edges;    // (height, PixelBits::words(width)) edge bitmap
     int height, width;
     double quality;           // minimum strength of a corner, as a fraction of the largest strength
     // Scratch memory.
@@ -65,7 +65,7 @@ struct CornerMaxima {
                               // corner
     CornerKey* keys;                // (height * width) maxima, unordered
 
-    enum { MARGIN = 2, WORD = 32 };  // padding words on each side of a row of edges; pixels per word
+    enum { WORD = 32 };  // pixels per word
 
     // Sums over the columns of a word and one more column on each side.
     struct Columns {
@@ -78,26 +78,9 @@ struct CornerMaxima {
         int listed, strongest, maxima;
     };
 
-    static int outer_words(int width) { return PixelBits::words(width) + 2 * MARGIN; }
     static int strengths(int height, int width) { return height * WORD * PixelBits::words(width) + 1; }
 
     int words() const { return PixelBits::words(width); }
-
-    // Copies the edge bitmap; two columns on each side of the image mirror those inside.
-    static void mirror(const Team& team, const unsigned* from, unsigned* to, int height, int width) {
-        const int inner = PixelBits::words(width), outer = outer_words(width);
-        const int first = MARGIN * WORD, last = first + width - 1;
-        for (int y = team.rank; y < height; y += team.size) {
-            unsigned* row = to + (size_t)y * outer;
-            for (int w = -MARGIN; w < inner + MARGIN; ++w)
-                row[MARGIN + w] = w >= 0 && w < inner ? from[(size_t)y * inner + w] : 0;
-            for (int k = 1; k <= 2; ++k) {
-                PixelBits::copy(row, first + k, first - k);
-                PixelBits::copy(row, last - k, last + k);
-            }
-        }
-        team.sync();
-    }
 
     // Finds the maxima; returns their number.
     int run(const Team& team, Shared& shared) const {
@@ -137,15 +120,22 @@ struct CornerMaxima {
     }
 
     // Neighbourhood of a word of row y: five rows, from two above to two below, with two more columns
-    // on each side: bit j is column 32 w - 2 + j. Rows outside the image are mirrored.
+    // on each side: bit j is column 32 w - 2 + j. Rows and columns outside the image are mirrored.
     struct Around {
         Word rows[5];
 
         Around(const CornerMaxima& of, int y, int w) {
+            const int words = of.words(), last = of.width - WORD * w + 1;  // bit of the last column
             for (int i = 0; i < 5; ++i) {
                 const int row = PixelBits::mirrored(y + i - 2, of.height);
-                const unsigned* own = of.edges + (size_t)row * outer_words(of.width) + MARGIN + w;
-                rows[i] = own[-1] >> 30 | (Word)own[0] << 2 | (Word)own[1] << 34;
+                const unsigned* own = of.edges + row * words + w;
+                Word bits = (Word)own[0] << 2;
+                if (w > 0) bits |= own[-1] >> 30;
+                if (w + 1 < words) bits |= (Word)own[1] << 34;
+                if (w == 0) bits |= (bits >> 4 & 1) | (bits >> 2 & 2);
+                if (last >= 2 && last <= WORD + 2)
+                    bits |= (bits >> (last - 1) & 1) << (last + 1) | (bits >> (last - 2) & 1) << (last + 2);
+                rows[i] = bits;
             }
         }
 
@@ -361,13 +351,12 @@ struct Corners {
 
     // Scratch memory of a team.
     struct Scratch {
-        unsigned *weak, *edges, *mirrored, *blocked;
+        unsigned *weak, *edges, *blocked;
         int *list, *halves, *strength;
         CornerKey *keys, *other;
 
         Scratch(Arena& arena, int height, int width) {
             arena.take(height * PixelBits::words(width), weak, edges, blocked, list);
-            arena.take(height * CornerMaxima::outer_words(width), mirrored);
             arena.take(height, halves);
             arena.take(CornerMaxima::strengths(height, width), strength);
             arena.take(2 * height * width, keys, other);
@@ -389,8 +378,7 @@ struct Corners {
             .run(team, shared.tile);
         Hysteresis{height, PixelBits::words(width) / 2, (const Hysteresis::Word*)scratch.weak,
                    (Hysteresis::Word*)scratch.edges}.run(team);
-        CornerMaxima::mirror(team, scratch.edges, scratch.mirrored, height, width);
-        const int maxima = CornerMaxima{scratch.mirrored, height, width, settings.quality,
+        const int maxima = CornerMaxima{scratch.edges, height, width, settings.quality,
                                         scratch.list, scratch.strength, scratch.keys}
             .run(team, shared.maxima);
         const bool fits = height * PixelBits::words(width) <= BLOCKED;
