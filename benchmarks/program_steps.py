@@ -57,7 +57,7 @@ def program(point: Point) -> Program:
     arrays = [wp.array(a, dtype=wp.dtype_from_numpy(a.dtype), device=device) for a in given]
     rows = [(point.batch, words) for words in static.words()]
     arrays += [wp.zeros(shape, dtype=wp.int32, device=device) for shape in rows]
-    teams = 1 if device.is_cpu else most_teams(point.batch, static.own_words, kernels.BLOCKS)
+    teams = 1 if device.is_cpu else most_teams(point.batch, static.own_words)
     scratch = wp.zeros((teams, static.own_words), dtype=wp.int32, device=device)
     launch(arrays, scratch, 0, len(STEPS), static)
     return Program(arrays, scratch, static)

@@ -13,10 +13,11 @@
 using namespace jaxdet;
 
 int main(int, char** arguments) {
-    int head[3], values[CornerSettings::COUNT], found = -1;
+    int head[3], found = -1;
+    CornerSettings settings;
     FILE* file = fopen(arguments[1], "rb");
     bool is_whole = file && fread(head, sizeof head, 1, file) == 1;
-    is_whole = is_whole && fread(values, sizeof values, 1, file) == 1;
+    is_whole = is_whole && fread(&settings, sizeof settings, 1, file) == 1;
     if (!is_whole) return 1;
     const int height = head[0], width = head[1], slots = head[2];
     const size_t pixels = (size_t)height * width;
@@ -28,7 +29,7 @@ int main(int, char** arguments) {
     std::vector<int> u(slots, -1), v(slots, -1);
     static Corners::Shared shared;
     const auto run = [&](const Team& team) {
-        Corners{height, width, {values}, slots}.run(team, shared, color.data(),
+        Corners{height, width, settings, slots}.run(team, shared, color.data(),
                                                     (int*)scratch.data(), u.data(), v.data(),
                                                     &found);
     };

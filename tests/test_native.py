@@ -9,7 +9,7 @@ import pytest
 
 from jaxdet.config import FeaturesConfig
 from jaxdet.reference.paper import features
-from jaxdet.stages.paper._corners import corner_settings
+from jaxdet.stages.paper._features import corner_settings
 from jaxdet.types import Calibration
 from jaxdet_kernels.build import HEADERS as FILES
 from jaxdet_kernels.build import INCLUDE

@@ -28,15 +28,10 @@ def launch(name: str, *arguments: Any) -> None:
 
     with _loading:
         kernels = _kernels()
-    given = []
     for argument in arguments:
-        if isinstance(argument, np.ndarray):
-            if not argument.flags.c_contiguous:
-                raise ValueError(f"{name} takes contiguous arrays")
-            dtype = wp.dtype_from_numpy(argument.dtype)
-            argument = wp.array(argument, dtype=dtype, device="cpu", copy=False)
-        given.append(argument)
-    wp.launch(getattr(kernels, name), 1, given, device="cpu")
+        if isinstance(argument, np.ndarray) and not argument.flags.c_contiguous:
+            raise ValueError(f"{name} takes contiguous arrays")
+    wp.launch(getattr(kernels, name), 1, arguments, device="cpu")
 
 
 @cache

@@ -1,7 +1,7 @@
 """Functions on Warp arrays that jitted programs call, on the CPU and on CUDA."""
 
 from collections.abc import Callable, Mapping, Sequence
-from inspect import signature
+from inspect import Parameter, Signature, signature
 from types import ModuleType
 from typing import Any
 
@@ -9,8 +9,9 @@ import jax
 import warp as wp
 
 from jaxdet.runtime.compiled import load_for_cpu
-from jaxdet.runtime.launch import MULTIPROCESSORS
+from jaxdet.runtime.launch import MULTIPROCESSORS, on_cores, reported_words
 from jaxdet.signals import stops_held_back
+from jaxdet_kernels.build import BLOCKS, WIDTH
 
 SCRATCH_SHARE = 8
 """All teams on CUDA together use at most ``1 / SCRATCH_SHARE`` of the device's memory as scratch
@@ -56,9 +57,47 @@ def jax_callable(
     return decorate
 
 
-def by_device(cpu: Callable[[], Any], cuda: Callable[[], Any]) -> Any:
-    """Return the result of one of two functions, by the platform of a jitted program."""
-    return jax.lax.platform_dependent(cpu=cpu, cuda=cuda)
+def frame_kernel(
+    kernels: ModuleType, kernel: Any, words: Any, outputs: int
+) -> Callable[..., Sequence[jax.Array]]:
+    """Make a function that runs a kernel on a batch, callable under ``jax.jit``.
+
+    Its arguments are the inputs of the kernel; ``size``, the arguments of the kernel ``words``; and
+    ``output_dims``, the shapes of the outputs by name. It returns the outputs. Threads on the CPU,
+    or teams of threads on CUDA, take frames in turn.
+
+    Args:
+        kernels: Module of the kernel.
+        kernel: Kernel whose parameters are arrays, first one with ``B`` rows, last the outputs;
+            then ``scratch`` and ``next`` as for :func:`on_cores`.
+        words: Kernel that reports the words of scratch memory, see :func:`reported_words`.
+        outputs: Number of outputs.
+    """
+
+    def launch(*arrays: Any) -> None:
+        *batch, scratch = arrays
+        if scratch.device.is_cpu:
+            on_cores(kernel, batch, len(batch[0]), scratch.shape[1])
+            return
+        memory, threads = scratch.flatten(), len(scratch) * WIDTH
+        inputs = [*batch, memory, memory]  # ``next`` is only used on the CPU
+        wp.launch(kernel, threads, inputs, device=scratch.device, block_dim=WIDTH)
+
+    types = {**kernel.func.__annotations__, "scratch": wp.array2d[wp.int32]}
+    del types["next"]
+    launch.__signature__ = Signature([Parameter(s, Parameter.POSITIONAL_OR_KEYWORD) for s in types])
+    program = jax_callable(kernels, list(types.values()), outputs + 1)(launch)
+
+    def call(*inputs: jax.Array, size: Sequence[int], output_dims: Mapping[str, Any]) -> Any:
+        room = reported_words(words, size, device_of_jax(kernels))
+
+        def on(teams: int) -> Any:
+            return program(*inputs, output_dims={**output_dims, "scratch": (teams, room)})[:-1]
+
+        most = most_teams(len(inputs[0]), room)
+        return jax.lax.platform_dependent(cpu=lambda: on(1), cuda=lambda: on(most))
+
+    return call
 
 
 def prepare(module: Any) -> None:
@@ -73,11 +112,11 @@ def device_of_jax(module: Any) -> Any:
     return wp.device_from_jax(jax.local_devices()[0])
 
 
-def most_teams(frames: int, words: int, blocks: int) -> int:
+def most_teams(frames: int, words: int) -> int:
     """Return the number of teams for which there is scratch memory on the default device."""
     stats = jax.local_devices()[0].memory_stats() or {}
     room = stats.get("bytes_limit", SCRATCH_SHARE << 30) // SCRATCH_SHARE
-    return min(frames, blocks * MULTIPROCESSORS, max(room // (4 * max(words, 1)), 1))
+    return min(frames, BLOCKS * MULTIPROCESSORS, max(room // (4 * max(words, 1)), 1))
 
 
 def uninterrupted(program: Callable[..., Any], *arguments: Any) -> Any:

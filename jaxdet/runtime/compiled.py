@@ -88,10 +88,10 @@ def _checksums(folder: Path) -> str:
     return "".join(f"{sum_} {path.name}\n" for sum_, path in zip(sums, files, strict=True))
 
 
-def _new_folder(beside: Path) -> Path:
+def _new_folder(parent: Path) -> Path:
     try:
-        beside.mkdir(parents=True, exist_ok=True)
-        return Path(tempfile.mkdtemp(prefix=".compiling-", dir=beside))
+        parent.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=".compiling-", dir=parent))
     except OSError:  # loaded code needs no files
         return Path(tempfile.mkdtemp())
 

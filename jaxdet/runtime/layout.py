@@ -27,6 +27,7 @@ class Layout:
     def __init__(self, shapes: Shapes, bools: frozenset[str] = frozenset()) -> None:
         self.shapes, self.bools = dict(shapes), bools
         self.begin: dict[str, int] = {}
+        """Offset of each array in a row."""
         self.words = 0
         """Number of words of a row, at least those of one cache line."""
         for name, shape in self.shapes.items():
@@ -36,11 +37,6 @@ class Layout:
 
     def _length(self, name: str, shape: tuple[int, ...]) -> int:
         return -(-math.prod(shape) // 4) if name in self.bools else math.prod(shape)
-
-    @property
-    def places(self) -> list[int]:
-        """Offset of each array, for C++."""
-        return list(self.begin.values())
 
     def take(self, rows: Any, name: str) -> Any:
         """Return an array ``(B, ...)`` of rows ``(B, words)`` int32, also under ``jax.jit``."""

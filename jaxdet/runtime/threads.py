@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import lru_cache
 from threading import get_native_id
@@ -16,40 +16,29 @@ def threads() -> int:
     return int(chosen) if chosen.isdecimal() and int(chosen) else cores()
 
 
-def on_all_cores(work: Sequence[Callable[[], None]]) -> None:
-    """Run the first function in this thread and the others in threads of their own, in parallel."""
+def on_all_cores(work: Sequence[Callable[[], object]]) -> None:
+    """Run the first function in this thread and the others in threads of their own, in parallel.
+
+    By default, the system places threads that wake each other on one core for milliseconds. So each
+    thread starts on its own core if all cores are used, and may be moved once it runs: a thread
+    pinned permanently would have to wait while another program uses its core.
+    """
     own, *others = work
     if not others:
         own()
         return
-    pool, started = _pool(), []
+    (core, pool), started = _pool(), []
     try:
-        for thread, other in zip(pool.threads, others, strict=False):
-            started.append(thread.start(other))
-        pool.place_caller()
+        for thread, other in zip(pool, others, strict=False):
+            with _on_core(thread.id, thread.core):
+                started.append(thread.executor.submit(other))
+        with _on_core(0, core):
+            pass
         own()
     finally:
         wait(started)  # threads use the memory of the arguments
     for other in started:
         other.result()
-
-
-class _Thread:
-    """Thread that starts each task on the same core, if all cores are used.
-
-    By default, the system places threads that wake each other on one core for milliseconds. A
-    thread pinned permanently would have to wait while another program uses its core.
-    """
-
-    def __init__(self, core: int | None) -> None:
-        self._pool = ThreadPoolExecutor(1, "jaxdet-kernel")
-        self._id = self._pool.submit(get_native_id).result()
-        self._core = core
-
-    def start(self, work: Callable[[], None]) -> Future[None]:
-        """Start a task; the thread may be moved once it has been woken."""
-        with _on_core(self._id, self._core):
-            return self._pool.submit(work)
 
 
 @contextmanager
@@ -66,22 +55,22 @@ def _on_core(thread: int, core: int | None) -> Iterator[None]:
         os.sched_setaffinity(thread, allowed)
 
 
-class _Pool:
-    """Threads in addition to the caller's, :func:`threads` in all."""
+class _Thread:
+    """Thread that runs one task after the other."""
 
-    def __init__(self) -> None:
-        allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
-        count = threads()
-        places = sorted(allowed) if len(allowed) == count else [None] * count
-        self._core = places[0]
-        self.threads = [_Thread(place) for place in places[1:]]
-
-    def place_caller(self) -> None:
-        """Move the calling thread to the core that the others leave free; it may be moved again."""
-        with _on_core(0, self._core):
-            pass
+    def __init__(self, core: int | None) -> None:
+        self.core = core
+        self.executor = ThreadPoolExecutor(1, "jaxdet-kernel")
+        self.id = self.executor.submit(get_native_id).result()
 
 
 @lru_cache(maxsize=1)
-def _pool() -> _Pool:
-    return _Pool()
+def _pool() -> tuple[int | None, list[_Thread]]:
+    """Return the core of the caller and the other threads, :func:`threads` in all.
+
+    Cores are None unless all of them are used.
+    """
+    allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+    count = threads()
+    core, *others = sorted(allowed) if len(allowed) == count else [None] * count
+    return core, [_Thread(other) for other in others]

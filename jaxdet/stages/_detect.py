@@ -7,13 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxdet.config import Config
-from jaxdet.runtime.calls import (
-    by_device,
-    device_of_jax,
-    jax_callable,
-    most_teams,
-    uninterrupted,
-)
+from jaxdet.runtime.calls import device_of_jax, jax_callable, most_teams, uninterrupted
 from jaxdet.stages import _batches, _program, paper
 from jaxdet.stages._check import check_kernels
 from jaxdet.stages._program import Rows, Static
@@ -95,11 +89,11 @@ def _run_steps(
         return Rows(*program(depth, floors, tables, output_dims=dims)[:3])
 
     def on_cuda() -> Rows:
-        teams = most_teams(batch, static.own_words, kernels.BLOCKS)
+        teams = most_teams(batch, static.own_words)
         found = call(True, (teams, static.own_words))
         return found if keep_work else found._replace(work=found.work[:1, :1])
 
-    return by_device(lambda: call(keep_work, (1, 1)), on_cuda)
+    return jax.lax.platform_dependent(cpu=lambda: call(keep_work, (1, 1)), cuda=on_cuda)
 
 
 @lru_cache(maxsize=64)

@@ -15,7 +15,7 @@ import warp as wp
 from jaxdet.config import Config
 from jaxdet.floor.frame import floor_frames
 from jaxdet.floor.units import Scale, prior_units
-from jaxdet.runtime.launch import INT32, MULTIPROCESSORS, filled, on_cores, reported_words
+from jaxdet.runtime.launch import INT32, MULTIPROCESSORS, on_cores, reported_words
 from jaxdet.runtime.layout import Layout
 from jaxdet.stages._tables import Sizes, host_tables
 from jaxdet.types import (
@@ -108,12 +108,12 @@ def packed(sizes: Sizes, tables: Mapping[str, Array], device: Any) -> np.ndarray
     layout = Layout({name: table.shape for name, table in made.items()})
     trees, leaves = made["value"].shape if made["value"].ndim == 2 else (0, 0)
     more = sizes.width, sizes.side, trees, leaves, int(not made["corner_x"].size)
-    places = [_HEADER + place for place in layout.places[len(_FIXED) :]]
+    places = [_HEADER + place for place in [*layout.begin.values()][len(_FIXED) :]]
     found = np.concatenate([np.zeros(_HEADER, np.int32), layout.pack(1, made)[0]])
     header = Static(rows, columns, 0)
     found[: len(header) + len(more) + len(places)] = *header, *more, *places
     found[: len(header)] = header._replace(
-        own_words=reported_words(kernels, [found, rows, columns], device)
+        own_words=reported_words(kernels.scratch_words, [found, rows, columns], device)
     )
     return found
 
@@ -231,8 +231,10 @@ def launch(arrays: list[Any], scratch: Any, first: int, end: int, static: Static
     """
     frames, rows, columns = len(arrays[0]), static.rows, static.columns
     names = "depth", "floors", "tables", "record", "contour", "work"
-    named = dict(zip(names, arrays, strict=True))
-    batch = filled(kernels.Batch, rows=rows, columns=columns, **named)
+    batch = kernels.Batch()
+    batch.rows, batch.columns = rows, columns
+    for name, array in zip(names, arrays, strict=True):
+        setattr(batch, name, array)
     if arrays[0].device.is_cpu:
         words = work_layout(rows, columns).words + static.own_words
         on_cores(kernels.frames, [batch, first, end - 1], frames, words)

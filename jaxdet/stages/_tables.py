@@ -30,7 +30,7 @@ from jaxdet.floor.rays import (
 )
 from jaxdet.floor.units import Scale, stride
 from jaxdet.types import Array, Calibration, Distortion
-from jaxdet_kernels.align import PARAMETERS
+from jaxdet_kernels.paper import PARAMETERS
 
 LIMIT = 1 << 30  # maximum of settings and entries of tables: no length is larger
 MOST_STEP, MOST_LIMIT = 1 << 16, 1 << 17

@@ -19,8 +19,12 @@ Warp's default flags also raise LLVM's inlining limits for everything that the p
 afterwards. With them the floor takes four times as long to compile, and only the corners run
 faster."""
 
+WIDTH, BLOCKS = 256, 4
+"""Threads per team on CUDA, and teams that are resident on a multiprocessor at once: a thread has
+up to 64 registers."""
 
-def options(*headers: str, cpu_flags: str | None = CPU_FLAGS) -> dict[str, Any]:
+
+def options(*headers: str) -> dict[str, Any]:
     """Return options for :func:`warp.set_module_options` that include headers before the kernels.
 
     Every floating-point operation is rounded separately. ``block_dim`` is that of the CPU, where
@@ -29,14 +33,13 @@ def options(*headers: str, cpu_flags: str | None = CPU_FLAGS) -> dict[str, Any]:
 
     Args:
         headers: Names in ``include/jaxdet``.
-        cpu_flags: Clang flags; None: Warp's defaults.
     """
     preamble = "".join(f'#include "jaxdet/{name}"\n' for name in headers)
     return {
         "enable_backward": False,
         "fuse_fp": False,
         "block_dim": 1,
-        "cpu_compiler_flags": cpu_flags,
+        "cpu_compiler_flags": CPU_FLAGS,
         "extra_build_options": wp.ModuleBuildOptions(
             extra_cpu_include_dirs=[INCLUDE],
             extra_cuda_include_dirs=[INCLUDE],

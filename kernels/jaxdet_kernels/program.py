@@ -7,11 +7,10 @@ from typing import Any
 
 import warp as wp
 
-from jaxdet_kernels.build import options
+from jaxdet_kernels.build import BLOCKS, WIDTH, options
 
 wp.set_module_options(options("program.h"))
 
-WIDTH = 256  # threads per team on CUDA
 Depth = wp.array3d[wp.uint16]
 Rows = wp.array2d[wp.int32]
 Words = wp.array[wp.int32]
@@ -99,9 +98,6 @@ def _step(name: str, blocks: int) -> Any:
 
     return wp.kernel(kernel, name=name, launch_bounds=(WIDTH, blocks))
 
-
-BLOCKS = 4
-"""Blocks that are resident on a CUDA multiprocessor at once: a thread has up to 64 registers."""
 
 STEPS = {
     name: _step(name, BLOCKS)

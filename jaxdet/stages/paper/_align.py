@@ -1,7 +1,6 @@
 """Stage 1, align: depth at pixels of the colour image, by a Warp kernel under ``jax.jit``."""
 
 from functools import lru_cache, partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,19 +8,16 @@ import numpy as np
 
 from jaxdet.camera import corner_rays
 from jaxdet.checks import check_size
-from jaxdet.runtime.calls import (
-    by_device,
-    device_of_jax,
-    jax_callable,
-    most_teams,
-    uninterrupted,
-)
-from jaxdet.runtime.launch import by_frame, filled, reported_words
+from jaxdet.runtime.calls import frame_kernel, uninterrupted
 from jaxdet.stages._tables import parameters
 from jaxdet.types import AlignedDepth, Array, Calibration
-from jaxdet_kernels import align as kernels
+from jaxdet_kernels import paper as kernels
 
 Tables = tuple[jax.Array, ...]
+"""Rays of the depth pixels' corners, bounds of the rays of tiles, and parameters; empty if depth is
+already aligned."""
+
+_align = frame_kernel(kernels, kernels.align, kernels.align_words, outputs=1)
 
 
 def align(depth: Array, u: Array, v: Array, calibration: Calibration) -> AlignedDepth:
@@ -44,56 +40,40 @@ def align(depth: Array, u: Array, v: Array, calibration: Calibration) -> Aligned
     """
     check_size("depth", np.shape(depth), calibration.depth)
     inputs = jax.device_put(depth), jnp.asarray(u), jnp.asarray(v), tables(calibration)
-    return AlignedDepth(*uninterrupted(align_arrays, *inputs, moved_size(calibration)))
+    size = calibration.image.height, calibration.image.width
+    return AlignedDepth(*uninterrupted(align_arrays, *inputs, size))
 
 
 @partial(jax.jit, static_argnames="size")
 def align_arrays(
-    depth: jax.Array, u: jax.Array, v: jax.Array, tables: Tables, size: tuple[int, int] | None
+    depth: jax.Array, u: jax.Array, v: jax.Array, tables: Tables, size: tuple[int, int]
 ) -> tuple[jax.Array, jax.Array]:
     """Return depth and z at pixels.
 
-    Args as for :func:`align`, with the results of :func:`tables` and :func:`moved_size`.
+    Args as for :func:`align`, with the result of :func:`tables`, and height and width of the colour
+    image.
     """
-    if size is None:
+    if not tables:
         found = depth[jnp.arange(len(depth))[:, None], v, u]
         return found, found
+    missing = [(0, max(kernels.TILE - side, 0)) for side in depth.shape[1:]]
+    if any(more for _, more in missing):  # the kernel needs at least one complete tile
+        depth = jnp.pad(depth, [(0, 0), *missing])
     with jax.named_scope("align"):
-        words = reported_words(kernels, size, device_of_jax(kernels))
-
-        def call(teams: int) -> jax.Array:
-            dims = {"keys": u.shape, "scratch": (teams, words)}
-            return _align(depth, *tables, u, v, output_dims=dims)[0]
-
-        most = most_teams(len(depth), words, kernels.BLOCKS)
-        keys = by_device(lambda: call(1), lambda: call(most))
+        (keys,) = _align(depth, *tables, u, v, size=size, output_dims={"keys": u.shape})
         return (keys >> 16).astype(jnp.uint16), (keys & 0xFFFF).astype(jnp.uint16)
-
-
-@jax_callable(kernels, kernels.TYPES, outputs=2)
-def _align(
-    depth: Any, rays: Any, tile_rays: Any, parameters: Any, u: Any, v: Any, keys: Any, scratch: Any
-) -> None:
-    arrays = {"depth": depth, "rays": rays, "tile_rays": tile_rays, "u": u, "v": v, "keys": keys}
-    batch = filled(kernels.Batch, parameters=parameters, **arrays)
-    by_frame(kernels, kernels.align, batch, len(depth), scratch)
-
-
-def moved_size(calibration: Calibration) -> tuple[int, int] | None:
-    """Return height and width of the colour image; None if depth is already aligned."""
-    image = calibration.image
-    return None if calibration.is_aligned else (image.height, image.width)
 
 
 @lru_cache(maxsize=8)
 def tables(calibration: Calibration) -> Tables:
-    """Return the rays of the depth pixels' corners and the parameters on the device, if needed."""
-    size = moved_size(calibration)
-    if size is None:
+    """Return the tables on the device."""
+    if calibration.is_aligned:
         return ()
-    rays = np.stack(corner_rays(calibration.depth))
-    numbers = np.concatenate([parameters(calibration), np.array(size, np.float32)])
-    return tuple(jnp.asarray(a) for a in (rays, tile_rays(rays), numbers))
+    rays, image = np.stack(corner_rays(calibration.depth)), calibration.image
+    missing = [(0, max(kernels.TILE + 1 - side, 0)) for side in rays.shape[1:]]
+    rays = np.pad(rays, [(0, 0), *missing], "edge")
+    numbers = *parameters(calibration), image.height, image.width
+    return tuple(jnp.asarray(a) for a in (rays, tile_rays(rays), np.array(numbers, np.float32)))
 
 
 def tile_rays(rays: np.ndarray) -> np.ndarray:
@@ -113,7 +93,6 @@ def tile_rays(rays: np.ndarray) -> np.ndarray:
 def _over_tiles(extreme: np.ufunc, image: np.ndarray) -> np.ndarray:
     """Reduce the corners of each tile's pixels, to ``(tiles,)``; tiles as in ``alignment.h``."""
     for axis, size in enumerate(image.shape):
-        first = np.minimum(np.arange(0, size - 1, kernels.TILE), max(size - 1 - kernels.TILE, 0))
-        corners = [np.minimum(first + i, size - 1) for i in range(kernels.TILE + 1)]
-        image = extreme.reduce([np.take(image, c, axis) for c in corners])
+        first = np.minimum(np.arange(0, size - 1, kernels.TILE), size - 1 - kernels.TILE)
+        image = extreme.reduce([np.take(image, first + i, axis) for i in range(kernels.TILE + 1)])
     return image.ravel()

@@ -14,7 +14,7 @@ from jaxdet.floor.plane import gap_units
 from jaxdet.stages._tables import kernel_table
 from jaxdet.types import MAX_LATERAL, Features, Labels
 
-PLACE_BITS, VALUE_BITS = 13, 19  # a frame has at most 2^13 points, and at most as many runs
+PLACE_BITS, VALUE_BITS = 13, 19  # a frame has at most 2^13 points, runs and obstacles
 LAST = (1 << VALUE_BITS) - 1  # larger than all values
 NONE = np.uint32(0xFFFFFFFF)  # larger than all keys, since x + MAX_LATERAL is below LAST
 DEPTHS = 1 << 16  # z is less than this
@@ -180,36 +180,17 @@ def _numbered(obstacle: jax.Array, z: jax.Array, most: int) -> Labels:
         most: Maximum number of obstacles.
     """
     nearest = jnp.full((len(z), most), LAST).at[_rows(z), obstacle].min(z, mode="drop")
-    _, order = _sorted(nearest)
-    number = _take(_put(order, _positions(order)), jnp.minimum(obstacle, most - 1))
+    # Nearest z and number are packed into one 32-bit key, which XLA sorts quickly on every device.
+    key = nearest.astype(jnp.uint32) << PLACE_BITS | jnp.arange(most, dtype=jnp.uint32)[None]
+    rank = _first_place(jnp.sort(key, axis=1), key)
+    number = _take(rank, jnp.minimum(obstacle, most - 1))
     found = jnp.where(obstacle < most, number, -1)
     return Labels(found, jnp.sum(nearest < LAST, axis=1, dtype=jnp.int32))
-
-
-def _sorted(values: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the sorted values of each row and their original positions, ``(B, N)`` int32.
-
-    Both are packed into one 32-bit key, which XLA sorts quickly on every device.
-    """
-    key = values.astype(jnp.uint32) << PLACE_BITS | _positions(values).astype(jnp.uint32)
-    key = jnp.sort(key, axis=1)
-    place = key & ((1 << PLACE_BITS) - 1)
-    return (key >> PLACE_BITS).astype(jnp.int32), place.astype(jnp.int32)
 
 
 def _take(values: jax.Array, place: jax.Array) -> jax.Array:
     """Return the values at positions of each row, ``(B, N)``."""
     return jnp.take_along_axis(values, place, axis=1, mode="promise_in_bounds")
-
-
-def _put(place: jax.Array, values: jax.Array) -> jax.Array:
-    """Scatter values to positions of each row, which are a permutation, ``(B, N)``."""
-    return jnp.zeros_like(values).at[_rows(place), place].set(values, unique_indices=True)
-
-
-def _positions(values: jax.Array) -> jax.Array:
-    """Return the position of each value in its row, ``(B, N)`` int32."""
-    return lax.broadcasted_iota(jnp.int32, values.shape, 1)
 
 
 def _rows(values: jax.Array) -> jax.Array:

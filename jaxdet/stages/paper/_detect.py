@@ -26,13 +26,6 @@ class _Tables(NamedTuple):
     footprint: _footprint.Tables
 
 
-class _Static(NamedTuple):
-    """Sizes that the program is compiled for."""
-
-    features: _features.Static
-    cluster: _cluster.Sizes
-
-
 def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     """Detect corners, drop those on the floor, cluster the others by gaps and measure the clusters.
 
@@ -44,41 +37,42 @@ def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
     Returns:
         The obstacles, see :func:`jaxdet.pipeline.detect`; JAX may still be computing them.
     """
-    _features.check_kernels_size(frames.calibration.image)
-    plane = plane_in_color(plane, frames.calibration)
-    shared, static = _tables(frames.calibration, config)
+    calibration, slots = frames.calibration, config.features.max_corners
+    _features.check_kernels_size(calibration.image)
+    plane = plane_in_color(plane, calibration)
+    shared = _tables(calibration, config)
+    sizes = _cluster.sizes(slots, config.cluster, calibration.depth_unit)
 
     def run(images: tuple[Any, ...], planes: GroundPlane) -> Detections:
-        ground = _ground.tables(planes, frames.calibration, config)
+        ground = _ground.tables(planes, calibration, config)
         axes = jnp.asarray(ground_axes(planes))
-        return uninterrupted(_detect, *images, (shared, ground, axes), static)
+        return uninterrupted(_detect, *images, (shared, ground, axes), slots, sizes)
 
     return _batches.in_parts(run, (frames.color, frames.depth), plane, staged=True)
 
 
 @lru_cache(maxsize=8)
-def _tables(calibration: Calibration, config: Config) -> tuple[_Tables, _Static]:
-    """Return the arrays on the device, and the sizes."""
+def _tables(calibration: Calibration, config: Config) -> _Tables:
+    """Return the arrays on the device."""
     unit = calibration.depth_unit
-    features, sizes = _features.tables(calibration, config.features)
+    features = _features.tables(calibration, config.features)
     gaps = jnp.asarray(_cluster.gap_settings(config.cluster, unit))
-    made = _Tables(features, gaps, _footprint.tables(config.footprint, unit))
-    return made, _Static(sizes, _cluster.sizes(sizes.slots, config.cluster, unit))
+    return _Tables(features, gaps, _footprint.tables(config.footprint, unit))
 
 
-@partial(jax.jit, static_argnames="static")
+@partial(jax.jit, static_argnames=("slots", "sizes"))
 def _detect(
     color: jax.Array,
     depth: jax.Array,
     inputs: tuple[_Tables, _ground.Tables, jax.Array],
-    static: _Static,
+    slots: int,
+    sizes: _cluster.Sizes,
 ) -> Detections:
     tables, ground, axes = inputs
-    corners = _features.on_device(color, depth, tables.features, static.features)
+    corners = _features.on_device(color, depth, tables.features, slots)
     corners = _ground.keep(corners, ground)
-    labels = _cluster.labels(corners, tables.gaps, static.cluster)
-    most = static.cluster.most
-    obstacles = _footprint.obstacles(corners, labels, axes, tables.footprint, most)
+    labels = _cluster.labels(corners, tables.gaps, sizes)
+    obstacles = _footprint.obstacles(corners, labels, axes, tables.footprint, sizes.most)
     units = depth.astype(ground.nearest.dtype)  # int32: ``nearest`` may exceed 16 bits
     in_range = (units >= ground.nearest) & (units <= ground.farthest)
     return Detections(

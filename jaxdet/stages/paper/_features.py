@@ -1,33 +1,24 @@
-"""Stage 2, features: corners by a Warp kernel, and their depth."""
+"""Stage 2, features: corners of Canny edges by a Warp kernel, and their depth."""
 
+import math
+import struct
 from functools import lru_cache, partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxdet.camera import fixed_rays
 from jaxdet.checks import check_size
 from jaxdet.config import FeaturesConfig
 from jaxdet.errors import ConfigError
-from jaxdet.runtime.calls import uninterrupted
+from jaxdet.runtime.calls import frame_kernel, uninterrupted
 from jaxdet.stages.paper import _align
-from jaxdet.stages.paper._corners import corner_settings, strongest_corners
 from jaxdet.types import Array, Calibration, Features, Intrinsics
-from jaxdet_kernels.features import MAX_SIZE
+from jaxdet_kernels import paper as kernels
 
-
-class Rays(NamedTuple):
-    """Rays of a camera's pixels, from :func:`jaxdet.camera.fixed_rays`."""
-
-    x: jax.Array  # (H, W) int32
-    y: jax.Array  # (H, W) int32
-
-
-@lru_cache(maxsize=8)
-def rays(camera: Intrinsics) -> Rays:
-    """Return the rays on the device."""
-    return Rays(*(jnp.asarray(a) for a in fixed_rays(camera)))
+_corners = frame_kernel(kernels, kernels.corners, kernels.corners_words, outputs=3)
 
 
 def features(
@@ -42,30 +33,42 @@ def features(
     check_kernels_size(calibration.image)
     check_size("colour", color.shape, calibration.image)
     check_size("depth", depth.shape, calibration.depth)
-    shared, static = tables(calibration, config)
-    return uninterrupted(on_device, jnp.asarray(color), jnp.asarray(depth), shared, static)
+    inputs = jnp.asarray(color), jnp.asarray(depth), tables(calibration, config)
+    return uninterrupted(on_device, *inputs, config.max_corners)
 
 
 class Tables(NamedTuple):
     """Arrays for :func:`on_device`, from a camera and a configuration."""
 
     align: _align.Tables
-    rays: Rays
+    rays: tuple[jax.Array, jax.Array]
+    """Rays of the pixels, ``(H, W)`` int32 each, from :func:`jaxdet.camera.fixed_rays`."""
     corners: jax.Array
+    """From :func:`corner_settings`."""
 
 
-class Static(NamedTuple):
-    """Sizes that :func:`on_device` is compiled for."""
-
-    moved: tuple[int, int] | None  # size of the colour image; None: depth is already aligned
-    slots: int  # maximum number of corners
-
-
-def tables(calibration: Calibration, config: FeaturesConfig) -> tuple[Tables, Static]:
-    """Return the tables on the device, and the sizes."""
+def tables(calibration: Calibration, config: FeaturesConfig) -> Tables:
+    """Return the tables on the device."""
     settings = jnp.asarray(corner_settings(config))
-    shared = Tables(_align.tables(calibration), rays(calibration.image), settings)
-    return shared, Static(_align.moved_size(calibration), config.max_corners)
+    return Tables(_align.tables(calibration), _rays(calibration.image), settings)
+
+
+@lru_cache(maxsize=8)
+def _rays(camera: Intrinsics) -> tuple[jax.Array, jax.Array]:
+    x, y = fixed_rays(camera)
+    return jnp.asarray(x), jnp.asarray(y)
+
+
+def corner_settings(config: FeaturesConfig) -> np.ndarray:
+    """Return the words of ``CornerSettings`` in ``corners.h``, int32.
+
+    The minimum distance is squared and rounded up: squared distances are integers, so the same ones
+    are smaller.
+    """
+    distance = config.min_distance
+    limit = math.ceil(distance * distance) if distance >= 1 else 0
+    words = struct.pack("<3i4xd", *config.canny_bounds, limit, config.quality_level)
+    return np.frombuffer(words, np.int32)
 
 
 def check_kernels_size(camera: Intrinsics) -> None:
@@ -74,24 +77,27 @@ def check_kernels_size(camera: Intrinsics) -> None:
     Raises:
         ConfigError: A side is shorter than 3 or longer than ``MAX_SIZE``.
     """
-    if not 3 <= min(camera.width, camera.height) <= max(camera.width, camera.height) <= MAX_SIZE:
+    least, most = sorted((camera.width, camera.height))
+    if least < 3 or most > kernels.MAX_SIZE:
         raise ConfigError(
             f"colour images of {camera.width}x{camera.height} pixels, but the kernels take from "
-            f"3 to {MAX_SIZE} a side",
+            f"3 to {kernels.MAX_SIZE} a side",
             remedy="use --backend reference",
         )
 
 
-@partial(jax.jit, static_argnames="static")
-def on_device(color: jax.Array, depth: jax.Array, shared: Tables, static: Static) -> Features:
-    """Return the features, from :func:`tables`."""
+@partial(jax.jit, static_argnames="slots")
+def on_device(color: jax.Array, depth: jax.Array, shared: Tables, slots: int) -> Features:
+    """Return the features, at most ``slots`` per frame, from :func:`tables`."""
     with jax.named_scope("features"):
-        u, v, count = strongest_corners(color, shared.corners, static.slots)
-        _, z = _align.align_arrays(depth, u, v, shared.align, static.moved)
-        valid = jnp.arange(static.slots, dtype=jnp.int32)[None, :] < count[:, None]
+        batch, *size, _ = color.shape
+        dims = {"u": (batch, slots), "v": (batch, slots), "number": (batch,)}
+        u, v, count = _corners(color, shared.corners, size=size, output_dims=dims)
+        _, z = _align.align_arrays(depth, u, v, shared.align, tuple(size))
+        valid = jnp.arange(slots, dtype=jnp.int32)[None, :] < count[:, None]
         z = jnp.where(valid, z.astype(jnp.int32), 0)
         x, y = (lateral(ray[v, u], z) for ray in shared.rays)
-        return Features(u, v, x, y, z, valid=valid, kept=valid, overflow=count > static.slots)
+        return Features(u, v, x, y, z, valid=valid, kept=valid, overflow=count > slots)
 
 
 def lateral(ray: jax.Array, z: jax.Array) -> jax.Array:

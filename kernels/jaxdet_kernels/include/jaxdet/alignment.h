@@ -27,7 +27,7 @@ struct Alignment {
     };
 
     const unsigned short* depth;       // (rows, columns) depth image
-    int rows, columns;
+    int rows, columns;                 // at least TILE
     const float *corner_x, *corner_y;  // (rows + 1, columns + 1) rays of the pixels' corners
     const float* tile_rays;            // (tiles, 4) smallest and largest x, smallest and largest y of rays
     Projection projection;
@@ -79,53 +79,43 @@ struct Alignment {
         }
     }
 
-    // Tiles at the right and bottom edge overlap their neighbours so that all tiles are complete; they
-    // are smaller only if the image is.
+    // Tiles at the right and bottom edge overlap their neighbours so that all tiles are complete.
     int tiles_across() const { return (columns + TILE - 1) / TILE; }
     int tile_row(int tile) const { return begin(tile / tiles_across(), rows); }
     int tile_column(int tile) const { return begin(tile % tiles_across(), columns); }
-    static int begin(int tile, int size) {
-        const int last = size > TILE ? size - TILE : 0;
-        return tile * TILE < last ? tile * TILE : last;
-    }
+    static int begin(int tile, int size) { return tile * TILE < size - TILE ? tile * TILE : size - TILE; }
 
     // Whether the depth pixels of a tile may cover a wanted pixel.
     bool may_cover(int tile) const {
-        Depths all;
-        const unsigned short* const first = depth + (size_t)tile_row(tile) * columns + tile_column(tile);
-        for (int r = 0; r < TILE && r < rows; ++r)
-            if (columns >= TILE) all.add(first + (size_t)r * columns, TILE);
-            else all.add(first + (size_t)r * columns, columns);
-        const Interval units = all.interval();
+        const Interval units = depths(tile);
         if (units.high == 0) return false;
         const float* const rays = tile_rays + 4 * (size_t)tile;
         const Interval x(rays[0], rays[1]), y(rays[2], rays[3]);
         return any_wanted(clipped(projection.bounds(units, x, y)));
     }
 
-    // Smallest and largest measured depth in each column of a tile.
-    struct Depths {
-        // smallest depth minus one
-        unsigned short less[TILE] = {NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE};
-        unsigned short most[TILE] = {};
-        enum : unsigned short { NONE = 0xffff };  // 0 minus one
-
-        __attribute__((always_inline)) void add(const unsigned short* line, int count) {
-            for (int c = 0; c < count; ++c) {
+    // Smallest and largest measured depth of a tile; the largest is 0 if nothing is measured.
+    Interval depths(int tile) const {
+        const unsigned short* line = depth + (size_t)tile_row(tile) * columns + tile_column(tile);
+        // Per column of the tile; the smallest depth minus one, so that 0 counts as the largest.
+        unsigned short less[TILE], most[TILE];
+        for (int c = 0; c < TILE; ++c) {
+            less[c] = 0xffff;
+            most[c] = 0;
+        }
+        for (int r = 0; r < TILE; ++r, line += columns)
+            for (int c = 0; c < TILE; ++c) {
                 const unsigned short units = line[c], below = units - 1;
                 less[c] = below < less[c] ? below : less[c];
                 most[c] = units > most[c] ? units : most[c];
             }
+        int low = 0xffff, high = 0;
+        for (int c = 0; c < TILE; ++c) {
+            low = less[c] < low ? less[c] : low;
+            high = most[c] > high ? most[c] : high;
         }
-        Interval interval() const {
-            int low = NONE, high = 0;
-            for (int c = 0; c < TILE; ++c) {
-                low = less[c] < low ? less[c] : low;
-                high = most[c] > high ? most[c] : high;
-            }
-            return {(float)(low + 1), (float)high};
-        }
-    };
+        return {(float)(low + 1), (float)high};
+    }
 
     Bounds clipped(Bounds box) const {
         return {box.left > 0 ? box.left : 0, box.top > 0 ? box.top : 0,
@@ -220,31 +210,28 @@ struct Alignment {
         for (int k = 0; k < Boxes::COUNT; ++k) {
             const int i = k * warp.size + warp.lane;
             const int row = tile_row(tile) + i / TILE, column = tile_column(tile) + i % TILE;
-            const bool inside = row < rows && column < columns;
-            const int units = inside ? depth[row * columns + column] : 0;
-            const int one = inside ? row * (columns + 1) + column : 0, two = one + fills * (columns + 2);
-            cover(boxes, k, units, corner_x[one], corner_y[one], corner_x[two], corner_y[two],
-                  projection.model != Projection::PINHOLE);
+            const int one = row * (columns + 1) + column, two = one + fills * (columns + 2);
+            cover(boxes, k, depth[row * columns + column], corner_x[one], corner_y[one],
+                  corner_x[two], corner_y[two], projection.model != Projection::PINHOLE);
         }
     }
 #else
-    // Depth pixels of a tile, 0 outside the image, and the rays of their corners.
+    // Depth pixels of a tile and the rays of their corners.
     struct Tile {
         unsigned short units[PIXELS];
         float x0[PIXELS], y0[PIXELS], x1[PIXELS], y1[PIXELS];
     };
 
     void cover(const Warp&, int number, Boxes& boxes) const {
-        Tile tile = {};
-        for (int r = 0; r < TILE && r < rows; ++r) {
+        Tile tile;
+        for (int r = 0; r < TILE; ++r) {
             const int row = tile_row(number) + r, column = tile_column(number), i = r * TILE;
-            const int count = columns < TILE ? columns : (int)TILE;
             const size_t one = (size_t)row * (columns + 1) + column, two = one + fills * (columns + 2);
-            __builtin_memcpy(tile.units + i, depth + (size_t)row * columns + column, 2 * count);
-            __builtin_memcpy(tile.x0 + i, corner_x + one, 4 * count);
-            __builtin_memcpy(tile.y0 + i, corner_y + one, 4 * count);
-            __builtin_memcpy(tile.x1 + i, corner_x + two, 4 * count);
-            __builtin_memcpy(tile.y1 + i, corner_y + two, 4 * count);
+            __builtin_memcpy(tile.units + i, depth + (size_t)row * columns + column, 2 * TILE);
+            __builtin_memcpy(tile.x0 + i, corner_x + one, 4 * TILE);
+            __builtin_memcpy(tile.y0 + i, corner_y + one, 4 * TILE);
+            __builtin_memcpy(tile.x1 + i, corner_x + two, 4 * TILE);
+            __builtin_memcpy(tile.y1 + i, corner_y + two, 4 * TILE);
         }
         typedef Projection Lens;
         const int model = projection.model;

@@ -72,8 +72,7 @@ struct Canny {
 
     struct Tile {
         short grey[ROWS + 4][COLUMNS + 4];        // begins at row top - 2, column left - 2
-        // dx| + |dy|, begins one pixel outside the tile; 0 outside
-        short size[ROWS + 2][COLUMNS + 2];
+        short size[ROWS + 2][COLUMNS + 2];        // |dx| + |dy|, from row top - 1; 0 outside the image
         unsigned char direction[ROWS + 2][COLUMNS + 2];
         alignas(8) unsigned char edge[ROWS][COLUMNS];  // bit 0: weak, bit 1: strong
     };

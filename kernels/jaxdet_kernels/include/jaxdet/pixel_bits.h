@@ -29,11 +29,6 @@ struct PixelBits {
     static int column(int place) { return place & 0xffff; }
     static int row(int place) { return place >> 16; }
 
-    // Copies bit `from` of a row to bit `to`, which must be 0.
-    static void copy(unsigned* row, int from, int to) {
-        row[to >> 5] |= (row[from >> 5] >> (from & 31) & 1) << (to & 31);
-    }
-
     // Packs eight bytes, each 0 or 1, into bits: the product moves all of them into the highest byte.
     static unsigned packed(unsigned long long bytes) {
         return (unsigned)(bytes * 0x0102040810204080ull >> 56);

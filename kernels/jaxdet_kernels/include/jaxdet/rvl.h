@@ -42,13 +42,10 @@ struct RvlWindows {
 // Bit reader of the stream, with the next nibble at the top of a register; zeros after the end.
 struct RvlNibbles {
     const unsigned char* words;
-    long long count;  // words
-    long long next;
-    unsigned long long bits;
-    int held;  // bits in the register
-
-    RvlNibbles(const unsigned char* words, long long count)
-        : words(words), count(count), next(0), bits(0), held(0) {}
+    long long count;     // number of words
+    long long next = 0;  // index of the next word
+    unsigned long long bits = 0;
+    int held = 0;        // number of bits in the register
 
     // Refills the register to at least 33 bits.
     void refill() {
