@@ -544,7 +544,7 @@ REFUSED_IMAGES = {
     [
         ({"stamp_ns": "now"}, "stamps_ns: expected integers"),
         ({"stamp_ns": 1 << 70}, "stamps_ns: expected integers"),
-        ({"stamp_ns": np.datetime64("NaT")}, "stamps_ns: must not be NaT"),
+        ({"stamp_ns": np.datetime64("NaT", "ns")}, "stamps_ns: must not be NaT"),
         ({"stamp_ns": (1 << 64) - 1}, "stamps_ns: expected integers"),
         (
             {"stamp_ns": 1714557600.25},
