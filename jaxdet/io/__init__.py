@@ -12,9 +12,9 @@ The modules, from files to frames::
         mcap_file, chunks             MCAP: mcap_index reads the summary and the message indexes; if
                                         that shows damage, mcap_scan also reads the chunks
         bag                           ROS 1
-        message_file                  each message is a chunk: sqlite (ROS 2), image_folder
+        sqlite, image_folder          ROS 2 and folders, in which each message is a chunk
       file_index                    positions of all messages as arrays, in the same form for all
-                                      formats; from the file's own index, or rebuilt (walk)
+                                      formats; from the file's own index, or rebuilt
       opening, indexed              messages by topic (records); the first of each topic are decoded
                                       (contents), or all small messages and all timestamps
       findings                      cameras, topics, calibration (intrinsics, extrinsics), poses,

@@ -24,13 +24,12 @@ from jaxdet.io.chunks import (
     DamageError,
     chunk_records,
 )
-from jaxdet.io.container import LogFile
+from jaxdet.io.container import LogFile, Walk
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.file_index import FileIndex, Place
 from jaxdet.io.limits import MAX_ODD_RECORDS
 from jaxdet.io.mcap_index import INDEX_ENTRY_BYTES, INDEX_HEAD, Summary, read_summary
 from jaxdet.io.store import ChunkStore
-from jaxdet.io.walk import Walk
 
 TORN = 0
 """Opcode for parts of the file that are not records."""
