@@ -25,7 +25,7 @@ The modules, from files to frames::
       reading, store                  chunks, each read and checked once, in threads
         raw_messages                  raw pixels, copied directly into arrays; transforms
         decode_messages               CDR, ROS 1, protobuf and JSON -> messages
-        images, compressed            their pixels: raw, jpeg, png, rvl, zstd_images
+        images, compressed            their pixels: raw, jpeg, png, zstd_images
         body_mask                     mask of the robot's own body
     log, batch                      arrays of images, timestamps and poses, and each frame's status
 """

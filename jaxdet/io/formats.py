@@ -1,8 +1,8 @@
 """Opening of files by their format; compressed recordings are decompressed to temporary files.
 
 rosbag2 names compressed files ``NAME_0.mcap.zstd``; ``zstd`` and ``bzip2`` append ``.zst`` and
-``.bz2``. The decompressed file is in a folder of the user under the system's temporary folder (``TMPDIR``),
-and is removed when the process that created it ends.
+``.bz2``. The decompressed file is in a folder of the user under the system's temporary folder
+(``TMPDIR``), and is removed when the process that created it ends.
 """
 
 import atexit
