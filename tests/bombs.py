@@ -138,6 +138,19 @@ def summary_bomb(path: Path) -> Path:
     return path
 
 
+def many_chunk_indexes(path: Path) -> Path:
+    """Write a summary of a million chunk indexes, of chunks that do not exist."""
+    data = without_end(write_log(path, make_scene(3)))
+    start = len(data) + 13
+    with path.open("wb") as file:
+        file.write(data + record(15, bytes(4)))
+        for number in range(1_000_000):
+            index = struct.pack("<QQQQIQIQQ", number, number, number, 99, 0, 0, 0, 50, number)
+            file.write(record(8, index))
+        file.write(record(2, struct.pack("<QQI", start, 0, 0)) + MAGIC)
+    return path
+
+
 def rvl(path: Path, size: tuple[int, int], stream: bytes) -> Path:
     """Write depth images whose RVL header states ``size``, in a log of small images."""
     scene = make_scene(2)
@@ -225,6 +238,7 @@ BOMBS: dict[str, Callable[[Path], Path]] = {
         empty_records,
         empty_records_inside,
         summary_bomb,
+        many_chunk_indexes,
         rvl_tail,
         rvl_pixels,
         image_pixels,

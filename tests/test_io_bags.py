@@ -279,7 +279,7 @@ def test_a_lerobot_dataset_is_an_error_that_names_a_remedy(mcap, tmp_path):
 def test_bag_without_rosbags_names_the_extra(bag, monkeypatch):
     find_spec = importlib.util.find_spec
     hidden = lambda name, *rest: None if name == "rosbags" else find_spec(name, *rest)  # noqa: E731
-    monkeypatch.setattr("jaxdet.io.ros1.find_spec", hidden)
+    monkeypatch.setattr("jaxdet.io.bag.find_spec", hidden)
     with pytest.raises(InputError, match=r"jaxdet\[rosbag\].*rosbags-convert --src .*sim\.bag"):
         open_log(str(bag))
 

@@ -27,6 +27,7 @@ SAID = {
     "empty_records": "damaged or torn record",
     "empty_records_inside": "chunk has invalid records",
     "summary_bomb": "missing messages can't be counted",
+    "many_chunk_indexes": "chunk of the index is missing",
     "rvl_tail": "decode_error",
     "rvl_pixels": "5700x5700, but their calibration is for 32x24",
     "image_pixels": "Error",
@@ -63,7 +64,7 @@ for path in paths:
         message = f"{type(error).__name__} {error}"
     print(time.process_time() - start, peak() - before, message)
 """
-LARGE = {"schema_memory", "empty_transforms", "many_messages", "rvl_tail"}
+LARGE = {"schema_memory", "empty_transforms", "many_messages", "many_chunk_indexes", "rvl_tail"}
 """Bombs that take seconds in spite of the limits."""
 
 

@@ -16,13 +16,13 @@ from jaxdet.io.compressed import (
     compressed_size,
     decode_compressed_color,
     decode_compressed_depth,
+    decode_rvl,
     is_compressed_depth,
 )
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.images import decode_color, decode_depth, metres_to_units
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage
-from jaxdet.io.rvl import decode_rvl
 from tests.io_helpers import STORE, encode_rvl, ros_image
 
 LIMIT = 1 << 20

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import IndexType
 
 from jaxdet.cli import info
 from jaxdet.errors import RescanError
@@ -321,6 +322,23 @@ def test_a_wrong_index_causes_a_scan(tmp_path, field):
             for one, other in zip(batches, read_all(scanned), strict=True):
                 assert_same_batch(one, other)
         assert scanned.num_frames == 60
+
+
+@pytest.mark.parametrize("place", [0, 1, 9, 17, 25, 45])
+def test_a_chunk_that_contradicts_its_index_causes_a_scan(tmp_path, place):
+    """Opcode, length, times and sizes of a chunk record are compared with the chunk index."""
+    path = long_log(tmp_path / "x.mcap", 60, compression="lz4")
+    flip(path, chunks_of(path)[40].chunk_start_offset + place)
+    with open_only(str(path), LogOptions(scan=True)) as scanned, open_only(str(path)) as log:
+        assert not is_indexed(log)
+        for one, other in zip(read_all(log), read_all(scanned), strict=True):
+            assert_same_batch(one, other)
+
+
+def test_a_file_without_chunk_indexes_is_scanned(tmp_path):
+    path = long_log(tmp_path / "x.mcap", index_types=IndexType.MESSAGE)
+    with open_only(str(path)) as log:
+        assert not is_indexed(log) and log.num_frames == 60
 
 
 @pytest.mark.parametrize("damaged", [COLOR, "/tf", DEPTH])

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from benchmarks.feed_logs import encode_rvl
+from jaxdet.io.compressed import decode_rvl
 from jaxdet.io.jpeg import MOST_SCANS, decode_jpeg
 from jaxdet.io.png import MAGIC, decode_png_color
-from jaxdet.io.rvl import decode_rvl
 
 H, W = 240, 320
 MOST_TIMES = 300

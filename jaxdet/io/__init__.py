@@ -9,12 +9,12 @@ The modules, from files to frames::
     files, splits                   paths -> the files of each log
       formats, container            a file of any format: its index, and chunks of MCAP records by
                                       position
-        mcap_file, chunks             MCAP: mcap_index walks over the records by their heads; if
+        mcap_file, chunks             MCAP: mcap_index reads the summary and the message indexes; if
                                         that shows damage, mcap_scan also reads the chunks
         bag                           ROS 1
-        message_file                  each message is a chunk: sqlite (ROS 2), image_folder
+        sqlite, image_folder          ROS 2 and folders, in which each message is a chunk
       file_index                    positions of all messages as arrays, in the same form for all
-                                      formats; from the file's own index, or rebuilt (walk)
+                                      formats; from the file's own index, or rebuilt
       opening, indexed              messages by topic (records); the first of each topic are decoded
                                       (contents), or all small messages and all timestamps
       findings                      cameras, topics, calibration (intrinsics, extrinsics), poses,
@@ -25,7 +25,7 @@ The modules, from files to frames::
       reading, store                  chunks, each read and checked once, in threads
         raw_messages                  raw pixels, copied directly into arrays; transforms
         decode_messages               CDR, ROS 1, protobuf and JSON -> messages
-        images, compressed            their pixels: raw, jpeg, png, rvl, zstd_images
+        images, compressed            their pixels: raw, jpeg, png, zstd_images
         body_mask                     mask of the robot's own body
     log, batch                      arrays of images, timestamps and poses, and each frame's status
 """

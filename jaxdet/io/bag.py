@@ -17,6 +17,7 @@ import bz2
 import struct
 from collections import Counter
 from collections.abc import Iterator
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -29,15 +30,13 @@ from jaxdet.errors import InputError
 from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, ChunkHead, DamageError
 from jaxdet.io.container import FileState, LogFile
 from jaxdet.io.declarations import ChannelInfo
-from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
+from jaxdet.io.file_index import MAX_CHANNEL, FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, MAX_SCHEMAS_BYTES
 from jaxdet.io.messages import kind_of
-from jaxdet.io.ros1 import require_rosbags
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """Record types (field ``op``)."""
 MAGIC = b"#ROSBAG V2.0\n"
-MAX_CONNECTION = 0xFFFF
 _LENGTH = struct.Struct("<I")
 _PADDING = 0x80
 """Opcode of MCAP records reserved for applications."""
@@ -97,7 +96,7 @@ class BagFile(LogFile):
     kind = "a ROS 1 bag (version 2.0)"
 
     def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
-        require_rosbags(path)
+        _require_rosbags(path)
         super().__init__(path, max_bytes, state)
         try:
             self.head = self.record(len(MAGIC))
@@ -187,7 +186,7 @@ class BagFile(LogFile):
             start = record.start
             if record.op == MESSAGE:
                 number, log_ns = record.number(b"conn"), nanoseconds(record)
-                if number > MAX_CONNECTION:
+                if number > MAX_CHANNEL:
                     raise DamageError("connection number is out of range")
                 RECORD_HEAD.pack_into(found, start, Opcode.MESSAGE, MESSAGE_HEAD.size + record.size)
                 MESSAGE_HEAD.pack_into(found, start + RECORD_HEAD.size, number, 0, log_ns, log_ns)
@@ -196,6 +195,18 @@ class BagFile(LogFile):
                 found[payload:start] = view[record.data : record.end]
             RECORD_HEAD.pack_into(found, start, _PADDING, record.end - start - RECORD_HEAD.size)
         return memoryview(found)
+
+
+def _require_rosbags(path: Path) -> None:
+    """Check that ROS 1 messages can be decoded.
+
+    Raises:
+        InputError: ``rosbags`` is not installed.
+    """
+    if find_spec("rosbags") is None:
+        remedy = "install jaxdet[rosbag], or convert the bag: "
+        remedy += f"rosbags-convert --src {path} --dst NEW --dst-storage mcap"
+        raise InputError("ROS 1 bags need the package rosbags", path=str(path), remedy=remedy)
 
 
 def records(data: bytes) -> Iterator[BagRecord]:
@@ -297,7 +308,7 @@ def _read_end(file: BagFile) -> _End:
         content = data[record.data : record.end]
         if record.op == CONNECTION:
             number = record.number(b"conn")
-            if number > MAX_CONNECTION:
+            if number > MAX_CHANNEL:
                 raise DamageError("connection number is out of range")
             info = _connection(record, fields(content))
             used += len(info.topic) + len(info.schema_name) + len(info.schema_data)

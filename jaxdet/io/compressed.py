@@ -26,13 +26,21 @@ from jaxdet.io.images import (
 )
 from jaxdet.io.jpeg import MAGIC as JPEG
 from jaxdet.io.jpeg import decode_jpeg, jpeg_size
+from jaxdet.io.kernels import launch
 from jaxdet.io.messages import CompressedImageMessage, ImageMessage, bad_frame
 from jaxdet.io.png import MAGIC, decode_png_color, decode_png_depth, read_png_head
-from jaxdet.io.rvl import decode_rvl
 from jaxdet.io.zstd_images import is_zstd, read_zstd_head, unpack
 
 _DEPTH_HEAD = struct.Struct("<iff")
 _RVL_HEAD = struct.Struct("<II")
+_RVL_ERRORS = (
+    "",
+    "RVL stream ends early",
+    "RVL run leaves the image",
+    "RVL number is longer than 32 bits",
+    "RVL value is not 16 bits",
+)
+"""Error messages by status of the kernel."""
 MIN_CONFIDENCE = 1
 _CONFIDENCE = "; confidence at "
 ROTATED = "; rotated left by 3 bits"
@@ -183,6 +191,29 @@ def decode_compressed_depth(
         np.take(_inverse_depths(a, b, unit_m), row, out=row)
     if image.format.endswith(ROTATED):
         np.bitwise_or(row >> 3, row << 13, out=row)
+
+
+def decode_rvl(data: bytes | memoryview, row: np.ndarray) -> None:
+    """Decode an RVL stream (A. Wilson, *Fast Lossless Depth Image Compression*, ISS 2017).
+
+    The stream consists of little-endian 32-bit words of eight nibbles, the most significant first.
+    Numbers have three bits per nibble, lowest first, and the top bit of a nibble is set if more
+    follow. They repeat: a count of zero pixels, a count of non-zero pixels, and for each of the
+    latter the difference from the previous non-zero pixel, with the sign in the lowest bit. A
+    number has at most 11 nibbles, and two counts fill at least one pixel, so a stream needs at most
+    33 nibbles per pixel.
+
+    Args:
+        data: Stream without header; bytes after the last pixel are ignored.
+        row: Output ``(H, W)`` uint16, contiguous.
+
+    Raises:
+        ValueError: The stream is too short, its counts exceed the image, or a value exceeds uint16.
+    """
+    status = np.zeros(1, np.int32)
+    launch("rvl", np.frombuffer(data, np.uint8), row, status)
+    if status[0]:
+        raise ValueError(_RVL_ERRORS[status[0]])
 
 
 def _decode_masked(data: memoryview, place_text: str, row: np.ndarray) -> None:

@@ -8,20 +8,28 @@ import errno
 import os
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from array import array
+from collections import Counter
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+import numpy as np
+from mcap.opcode import Opcode
+
 from jaxdet.errors import InputError
-from jaxdet.io.chunks import ChunkHead, DamageError
-from jaxdet.io.file_index import FileIndex
+from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, ChunkHead, DamageError
+from jaxdet.io.declarations import ChannelInfo
+from jaxdet.io.file_index import MAX_CHANNEL, FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import ReadMemory, check_chunk, check_count, check_index
 
 T = TypeVar("T")
 
 RECORDINGS = (".mcap", ".db3", ".bag")
 """Suffixes of recordings, by priority among several formats of the same recording."""
+_MESSAGE = "message"
+"""Compression name of chunks that can't be read by their position in the file."""
 _PASSING = errno.EIO, errno.ETIMEDOUT
 """Errors of disks and file servers that may be temporary."""
 _WAITS_S = 0.1, 0.5, 2.0
@@ -263,6 +271,146 @@ class LogFile(ABC):
             self._patience_s -= wait_s
             time.sleep(wait_s)
         return function(*args)
+
+
+class MessageRow(NamedTuple):
+    """Header data of a message, without its payload."""
+
+    channel: int
+    log_ns: int
+    """Log time [ns]."""
+    size: int
+    """Size of the payload [byte]."""
+
+    def check(self) -> "MessageRow":
+        """Check the row and return it.
+
+        Raises:
+            DamageError: Channel or log time is out of range.
+        """
+        if not isinstance(self.channel, int) or not 0 <= self.channel <= MAX_CHANNEL:
+            raise DamageError("number of a topic is out of range")
+        if not isinstance(self.log_ns, int) or self.log_ns < 0:
+            raise DamageError("time of a message is out of range")
+        return self
+
+
+class MessageFile(LogFile):
+    """A file with separately accessible messages, such as rows of a table.
+
+    Each message is a chunk that consists of a single MCAP record: a header, then the payload. Its
+    position is the number of the message.
+    """
+
+    @abstractmethod
+    def row(self, number: int) -> MessageRow:
+        """Return channel, log time and size of a message.
+
+        Raises:
+            DamageError: The message does not exist, or can't be read.
+        """
+
+    @abstractmethod
+    def payload(self, number: int, most: int) -> bytes:
+        """Return the first ``most`` bytes of a message's payload, or all if it is shorter.
+
+        Raises:
+            DamageError: The payload can't be read.
+        """
+
+    def chunk_head(self, position: int) -> ChunkHead:
+        """Return the header of the chunk that represents a message.
+
+        Raises:
+            DamageError: There is no such message.
+        """
+        _, log_ns, size = self.row(position)
+        size += PAYLOAD_OFFSET
+        return ChunkHead(log_ns, log_ns, size, 0, _MESSAGE, 0, size)
+
+    def chunk(self, position: int) -> bytes:
+        """Return a message with its header.
+
+        Raises:
+            DamageError: The message can't be read.
+        """
+        size = self.chunk_head(position).uncompressed_size
+        self.check_memory(size)
+        found = self.chunk_begin(position, size)
+        if len(found) != size:
+            raise DamageError("message ends early")
+        return found
+
+    def chunk_begin(self, position: int, size: int) -> bytes:
+        """Return up to ``size`` bytes of a message with its header.
+
+        Raises:
+            DamageError: The message can't be read.
+        """
+        channel, log_ns, payload_size = self.row(position)
+        head = RECORD_HEAD.pack(Opcode.MESSAGE, MESSAGE_HEAD.size + payload_size)
+        head += MESSAGE_HEAD.pack(channel, 0, log_ns, log_ns)
+        return head[:size] + self.payload(position, max(0, size - len(head)))
+
+
+class Walk:
+    """Messages and losses found by a scan of a file, if its own index is missing or wrong.
+
+    Intact messages are collected and losses are counted; no message is decoded.
+
+    Args:
+        file: File.
+    """
+
+    def __init__(self, file: LogFile) -> None:
+        self._file = file
+        self.lost: Counter[str] = Counter()
+        """Number of unusable parts by reason."""
+        self._lost_bytes = self._last_ns = 0
+        self.read: Counter[int] = Counter()
+        """Number of messages by channel."""
+        self._messages = tuple(array("q") for _ in range(4))
+
+    def add(self, channel: int, log_ns: int, position: int, offset: int) -> None:
+        """Add a message, see :class:`jaxdet.io.file_index.IndexedMessages`.
+
+        Raises:
+            InputError: The file has an impossible number of messages.
+        """
+        self.read[channel] += 1
+        values = channel, log_ns, position, offset
+        for column, value in zip(self._messages, values, strict=True):
+            column.append(value)
+        self._file.check_messages(len(self._messages[0]))
+        self._last_ns = max(self._last_ns, log_ns)
+
+    def lose(self, reason: str, size: int) -> None:
+        """Count an unusable part."""
+        self.lost[reason] += 1
+        self._lost_bytes += size
+
+    def index(self, infos: Mapping[int, ChannelInfo], **more: Any) -> FileIndex:
+        """Return the index of the messages found, with the losses.
+
+        Args:
+            infos: Channels of the file by id.
+            more: Further fields of :class:`FileIntegrity`, depending on the format.
+
+        Raises:
+            InputError: The file was changed meanwhile.
+        """
+        self._file.check_unchanged()
+        integrity = FileIntegrity(
+            path=self._file.path,
+            messages=len(self._messages[0]),
+            lost=dict(self.lost),
+            lost_bytes=self._lost_bytes,
+            last_log_time_ns=self._last_ns,
+            **more,
+        )
+        messages = np.array(self._messages, np.int64).reshape(4, -1)
+        used = {number: infos[number] for number in self.read}
+        return file_index(used, messages, integrity)
 
 
 def _unreadable(error: Exception) -> DamageError:

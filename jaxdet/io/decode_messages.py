@@ -42,7 +42,6 @@ from jaxdet.io.messages import (
     plain_schema_name,
 )
 from jaxdet.io.raw_messages import read_motions
-from jaxdet.io.ros1 import ros1_decoder
 
 _STAMP_BYTES = 12
 """Number of bytes that contain a leading timestamp."""
@@ -191,7 +190,7 @@ def _raw_decoder(
         return lambda data: json.loads(data, object_hook=lambda fields: SimpleNamespace(**fields))
     if message_encoding == "ros1" and schema_encoding == "ros1msg":
         try:
-            return ros1_decoder(name, bare_definition(data.decode("utf-8", "replace")))
+            return _ros1_decoder(name, bare_definition(data.decode("utf-8", "replace")))
         except ImportError as error:
             problem = "ROS 1 messages need the package rosbags; install jaxdet[rosbag]"
             raise ValueError(problem) from error
@@ -219,3 +218,23 @@ def _raw_decoder(
             f"encoding {what} is not supported (only cdr with ros2msg, ros1, protobuf, json)"
         )
     return decode
+
+
+def _ros1_decoder(name: str, definition: str) -> Callable[[bytes], Any]:
+    """Return a function that decodes messages of a type.
+
+    Args:
+        name: Name of the type.
+        definition: Fields of the type, followed by the definitions of its member types, as in ROS
+            1.
+
+    Raises:
+        ImportError: ``rosbags`` is not installed.
+        Exception: The definition can't be parsed.
+    """
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    full = name if "/msg/" in name else name.replace("/", "/msg/")
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(definition, full))
+    return lambda data: store.deserialize_ros1(data, full)

@@ -1,8 +1,8 @@
 """Index of a file: positions of its messages, in the same form for all formats.
 
 The index is read from the file's own index, without reading messages, or rebuilt by a scan of the
-complete file (:mod:`jaxdet.io.walk`). All readers of messages use these arrays and do not depend on
-their source.
+complete file (:class:`jaxdet.io.container.Walk`). All readers of messages use these arrays and do
+not depend on their source.
 """
 
 from collections.abc import Mapping, Sequence

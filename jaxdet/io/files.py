@@ -13,8 +13,8 @@ from jaxdet.errors import InputError, printable
 from jaxdet.io.container import RECORDINGS
 from jaxdet.io.folders.layouts import LAYOUTS, image_folders
 from jaxdet.io.folders.recording import APPLE_DOUBLE
+from jaxdet.io.formats import PACKED, is_packed
 from jaxdet.io.splits import Recording, recording_around, recordings, signature
-from jaxdet.io.unpacking import PACKED, is_packed
 
 SUFFIXES = (*RECORDINGS, *PACKED)
 """Suffixes of the files that are read, by priority. The name of a compressed file has two suffixes,

@@ -17,10 +17,9 @@ from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
 from jaxdet.io.clocks import color_offset, pose_offset
 from jaxdet.io.contents import LogContents
-from jaxdet.io.indexed import IndexedLog
+from jaxdet.io.indexed import IndexedLog, may_repeat
 from jaxdet.io.options import LogOptions
 from jaxdet.io.poses import Base, PoseSource, best_source, find_base, pose_sources
-from jaxdet.io.repeats import may_repeat
 from jaxdet.io.streams import NUM_PROBES
 from jaxdet.io.topics import Choice
 from jaxdet.io.validity import CalibrationWindows

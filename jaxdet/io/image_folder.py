@@ -7,14 +7,13 @@ import numpy as np
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.container import FileState
+from jaxdet.io.container import FileState, MessageFile, MessageRow
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.folders.basic import RATE_HZ
 from jaxdet.io.folders.layouts import read_recording
 from jaxdet.io.folders.messages import TOPICS, encode_recording
-from jaxdet.io.message_file import MessageFile, MessageRow
 
 
 class ImageFolder(MessageFile):

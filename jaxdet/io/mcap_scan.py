@@ -9,9 +9,11 @@ message indexes list, but were not found, are reported as lost.
 
 from bisect import bisect_right
 from collections import Counter
+from collections.abc import Iterator
+from typing import NamedTuple
 
+import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex
 
 from jaxdet.io.chunks import (
     MAGIC,
@@ -22,20 +24,89 @@ from jaxdet.io.chunks import (
     DamageError,
     chunk_records,
 )
-from jaxdet.io.container import LogFile
+from jaxdet.io.container import LogFile, Walk
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.file_index import FileIndex, Place
-from jaxdet.io.mcap_index import (
-    INDEX_ENTRY_BYTES,
-    INDEX_HEAD,
-    TORN,
-    FileRecord,
-    FileRecords,
-    Summary,
-    read_summary,
-)
+from jaxdet.io.limits import MAX_ODD_RECORDS
+from jaxdet.io.mcap_index import INDEX_ENTRY_BYTES, INDEX_HEAD, Summary, read_summary
 from jaxdet.io.store import ChunkStore
-from jaxdet.io.walk import Walk
+
+TORN = 0
+"""Opcode for parts of the file that are not records."""
+_KNOWN, _LAST = {*Opcode}, {Opcode.DATA_END, Opcode.FOOTER}
+"""Record types of the specification, and those that end the data. Opcodes of 128 and more are
+reserved for applications."""
+_ODD_BYTES = 64
+"""Size below which records of unknown types count as odd, see ``MAX_ODD_RECORDS``."""
+_MAX_SPANS = 1000
+"""Maximum number of lost chunks whose log times are kept."""
+_AHEAD_BYTES = 384
+"""Minimum size of a read: usually message indexes, and the head of the next chunk."""
+
+
+class FileRecord(NamedTuple):
+    """A record in the data section of a file."""
+
+    opcode: int
+    """Opcode, or ``TORN`` for a part that can't be parsed."""
+    position: int
+    """Position of the content in the file [byte]."""
+    length: int
+    """Declared length of the content [byte]."""
+
+
+class FileRecords:
+    """Records of the data section of a file.
+
+    Args:
+        file: File.
+    """
+
+    def __init__(self, file: LogFile) -> None:
+        self._file = file
+        self._start = self._end = 0
+        self._ahead = b""
+
+    def read(self, position: int, size: int) -> bytes:
+        """Return bytes of the file; further bytes are read with them, for the next calls.
+
+        Raises:
+            DamageError: The file ends earlier, or is unreadable there.
+        """
+        if position < self._start or position + size > self._end:
+            most = max(size, min(_AHEAD_BYTES, self._file.size - position))
+            self._ahead = self._file.read(position, most)
+            self._start, self._end = position, position + most
+        offset = position - self._start
+        return self._ahead[offset : offset + size]
+
+    def walk(self, restarts: np.ndarray) -> Iterator[FileRecord]:
+        """Yield the records up to the end of the data.
+
+        A part that can't be parsed is a ``TORN`` record; it ends at the next position in
+        ``restarts`` (sorted), or at the end of the file.
+        """
+        position, odd = len(MAGIC), 0
+        while True:
+            start, content = position, position + RECORD_HEAD.size
+            try:
+                opcode, length = RECORD_HEAD.unpack(self.read(start, RECORD_HEAD.size))
+            except DamageError:
+                opcode, length = TORN, 0
+            position = content + length
+            odd += length == 0 or (opcode >= 0x80 and length < _ODD_BYTES)
+            is_known = opcode in _KNOWN or opcode >= 0x80
+            if is_known and position <= self._file.size and odd <= MAX_ODD_RECORDS:
+                yield FileRecord(opcode, content, length)
+                odd = 0 if opcode in (Opcode.CHUNK, Opcode.MESSAGE) else odd
+                if opcode in _LAST:
+                    return
+                continue
+            after = bisect_right(restarts, start)
+            position, odd = int(restarts[after]) if after < len(restarts) else self._file.size, 0
+            yield FileRecord(TORN, start, position - start)
+            if after == len(restarts):
+                return
 
 
 def rebuild_mcap_index(file: LogFile) -> FileIndex:
@@ -64,13 +135,13 @@ class _Scan:
         self.file, self.store, self.walk = file, store, Walk(file)
         self.summary: Summary | None = None
         self.summary_problem = ""
-        self.indexed_chunks: list[ChunkIndex] = []
-        """Chunks that the summary lists."""
         self._read_summary()
-        self.restarts = [item.chunk_start_offset for item in self.indexed_chunks]
+        known = self.summary.chunks.position if self.summary else np.zeros(0, np.uint64)
+        self.restarts = np.sort(known[known < file.size])
+        """Positions of the chunks that the summary lists."""
         self.records = FileRecords(file)
-        found = self.records.walk(self.restarts)
-        places = [Place(0, item.position) for item in found if item.opcode == Opcode.CHUNK]
+        found = FileRecords(file).walk(self.restarts)
+        places = (Place(0, item.position) for item in found if item.opcode == Opcode.CHUNK)
         self.loaded = store.loaded(places)
         """Chunks of the file in order, decompressed ahead in threads."""
         self.declared = Declarations()
@@ -81,7 +152,7 @@ class _Scan:
         self.indexed: Counter[int] = Counter()
         """Number of messages in message indexes, by channel."""
         self.torn: list[tuple[int, int]] = []
-        """Parts of the file that were skipped."""
+        """Parts of the file that were skipped; adjacent ones are merged."""
         self.seen: Counter[tuple[int, int, int, int]] = Counter()
         """Number of chunks found, by :func:`_chunk_key`, for the comparison with the summary."""
 
@@ -93,7 +164,8 @@ class _Scan:
         """
         opcode, position, length = record
         if opcode == TORN:
-            self.torn.append((position, position + length))
+            begin = self.torn.pop()[0] if self.torn and self.torn[-1][1] == position else position
+            self.torn.append((begin, position + length))
             raise DamageError("damaged or torn record")
         if opcode == Opcode.CHUNK:
             self._chunk(next(self.loaded))
@@ -130,9 +202,7 @@ class _Scan:
 
     def _read_summary(self, at: int | None = None) -> None:
         try:
-            summary = read_summary(self.file, at)
-            self.indexed_chunks = summary.chunk_indexes()
-            self.summary, self.summary_problem = summary, ""
+            self.summary, self.summary_problem = read_summary(self.file, at), ""
         except DamageError as error:
             self.summary_problem = self.summary_problem or str(error)
 
@@ -151,7 +221,7 @@ class _Scan:
             chunk = self.store.data(place)
         except DamageError:
             if head.start_ns <= head.end_ns <= MAX_TIME_NS:
-                self.lost_spans.append((head.start_ns, head.end_ns))
+                self._lose_span(head.start_ns, head.end_ns)
             raise
         view = memoryview(chunk)
         for opcode, offset, size in chunk_records(chunk):
@@ -200,18 +270,24 @@ class _Scan:
 
     def _lose_missing_chunks(self) -> None:
         """Count chunks of the summary that were not found as lost."""
-        left = Counter(self.seen)
-        for item in self.indexed_chunks:
-            span = item.message_start_time, item.message_end_time
-            key = *span, item.uncompressed_size, item.compressed_size
-            left[key] -= 1
-            if left[key] >= 0:
+        if self.summary is None:
+            return
+        known, left = self.summary.chunks, Counter(self.seen)
+        columns = known.start_ns, known.end_ns, known.size, known.packed_size, known.position
+        for row in np.stack(columns, axis=1)[np.argsort(known.position, kind="stable")]:
+            start_ns, end_ns, size, packed_size, start = row.tolist()
+            key = start_ns, end_ns, size, packed_size
+            if left[key]:
+                left[key] -= 1
                 continue
-            self.lost_spans.append(span)
-            start = item.chunk_start_offset
+            self._lose_span(start_ns, end_ns)
             place = bisect_right(self.torn, start, key=lambda part: part[0])
             if not place or start >= self.torn[place - 1][1]:
-                self.walk.lose("chunk of the index is missing", item.compressed_size)
+                self.walk.lose("chunk of the index is missing", packed_size)
+
+    def _lose_span(self, start_ns: int, end_ns: int) -> None:
+        if len(self.lost_spans) < _MAX_SPANS:
+            self.lost_spans.append((start_ns, end_ns))
 
 
 def _chunk_key(head: ChunkHead) -> tuple[int, int, int, int]:

@@ -95,21 +95,6 @@ def _other_kind(first: Signature, second: Signature) -> str:
     return ""
 
 
-def _overlap(first: Signature, second: Signature) -> str:
-    assert first.span_ns and second.span_ns
-    if second.span_ns[0] - first.span_ns[1] < -_MAX_OVERLAP_NS:
-        return "their images overlap in time or are in the wrong order"
-    return ""
-
-
-def _gap(first: Signature, second: Signature) -> str:
-    assert first.span_ns and second.span_ns
-    pause_ns = second.span_ns[0] - first.span_ns[1]
-    if pause_ns > max(_MAX_GAP_NS, 2 * max(first.period_ns, second.period_ns)):
-        return f"they are {pause_ns / 1e9:.1f} s apart"
-    return ""
-
-
 def _joined(first: Signature | None, second: Signature | None) -> Signature | None:
     """Return the signature of a recording after adding the file ``second``."""
     if first is None or second is None:
@@ -194,7 +179,14 @@ def _why_apart(first: int, before: Signature | None, second: int, now: Signature
         return "their numbers are not consecutive"
     if before is None or now is None or not (before.span_ns and now.span_ns):
         return "their indexes don't have the times of the images"
-    return _other_kind(before, now) or _overlap(before, now) or _gap(before, now)
+    if why := _other_kind(before, now):
+        return why
+    pause_ns = now.span_ns[0] - before.span_ns[1]
+    if pause_ns < -_MAX_OVERLAP_NS:
+        return "their images overlap in time or are in the wrong order"
+    if pause_ns > max(_MAX_GAP_NS, 2 * max(before.period_ns, now.period_ns)):
+        return f"they are {pause_ns / 1e9:.1f} s apart"
+    return ""
 
 
 def listed_files(folder: Path) -> frozenset[str]:

@@ -20,13 +20,11 @@ import numpy as np
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.container import FileState
+from jaxdet.io.container import FileState, MessageFile, MessageRow, Walk
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
-from jaxdet.io.message_file import MessageFile, MessageRow
 from jaxdet.io.messages import kind_of
-from jaxdet.io.walk import Walk
 
 _ROW = "SELECT topic_id, timestamp, length(data), typeof(data) FROM messages WHERE id = ?"
 _TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
