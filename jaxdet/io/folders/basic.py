@@ -24,8 +24,19 @@ from typing import Any
 import numpy as np
 
 from jaxdet.errors import InputError
-from jaxdet.io.folders.recording import COLOR, DEPTH, Cameras, Image, ImageFiles, Pose, Recording
-from jaxdet.io.folders.text import SECOND, nanoseconds, read_matrix, read_table
+from jaxdet.io.folders.recording import (
+    COLOR,
+    DEPTH,
+    SECOND,
+    Cameras,
+    Image,
+    ImageFiles,
+    Pose,
+    Recording,
+    nanoseconds,
+    read_matrix,
+    read_table,
+)
 from jaxdet.types import Intrinsics, is_rigid
 
 RATE_HZ = 30
