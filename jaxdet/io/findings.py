@@ -152,15 +152,14 @@ def _check_stamps(log: IndexedLog, topics: Iterable[str]) -> None:
 def _calibrations(
     log: IndexedLog, choice: Choice, calibrated: Calibrated, *, by_log_time: bool
 ) -> CalibrationWindows:
-    used, changes = calibrated.used, None
-    infos = [log.calibrations[topic] for topic in sorted(used) if topic in log.calibrations]
+    used, topic, changes = calibrated.used, calibrated.of_depth, None
+    infos = [log.calibrations[name] for name in sorted(used) if name in log.calibrations]
     if log.is_complete:
-        of_depth = calibrated.used_for_depth.items()
-        if log.streams[choice.depth].is_rgbd:  # RGBD messages contain their own calibration
-            of_depth = ()
-        changes = [(log.contents.calibrations[topic].changes, info) for topic, info in of_depth]
+        # RGBD messages contain their own calibration.
+        is_separate = topic and not log.streams[choice.depth].is_rgbd
+        changes = log.contents.calibrations[topic].changes if is_separate else ()
     path = log.contents.path
-    return CalibrationWindows(infos, used, log.store, path, changes, by_log_time=by_log_time)
+    return CalibrationWindows(infos, used, log.store, path, topic, changes, by_log_time=by_log_time)
 
 
 def _find_poses(
