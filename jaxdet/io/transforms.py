@@ -33,9 +33,7 @@ class TransformTree:
 
     A static transform takes precedence over moving transforms of the same frame. Contradictory
     transforms, and those that are not rigid motions, are ignored and reported in ``warnings``.
-
-    Args:
-        path: Path of the log, for errors.
+    Errors name the ``path`` of the log.
 
     Attributes:
         ignored: Number of invalid transforms by frame.

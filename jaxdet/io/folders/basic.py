@@ -82,13 +82,7 @@ def read(
     depth: ImageFiles = DEPTH,
     cameras: Callable[[Path, Sequence[Image], Sequence[Image]], Cameras] = read_cameras,
 ) -> Recording:
-    """Read a folder.
-
-    Args:
-        folder: Folder of the recording.
-        color: Files of colour images.
-        depth: Files of depth images.
-        cameras: Function that reads the calibration of a folder with these images.
+    """Read a folder; ``cameras`` reads its calibration from the folder and its images.
 
     Raises:
         InputError: A file, or the name of an image, is not as expected.
