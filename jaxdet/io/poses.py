@@ -187,16 +187,12 @@ def _from_track(
 
 def _robot_poses(contents: LogContents, depth_topic: str) -> list[str]:
     """Return the pose topics of the robot that carries a camera."""
-    topics = [name for name in sorted(contents.poses) if _is_robot_pose(contents, name)]
+    schemas = {name: contents.topics[name].channel.schema_name for name in sorted(contents.poses)}
+    topics = [name for name in schemas if schemas[name].endswith(("Odometry", "PoseInFrame"))]
     spaces = {name: namespace_of(name) for name in topics}
     found = namespaces_of_camera(spaces.values(), depth_topic, contents.streams)
     wanted = found.own[:1] if found.has_robot else (*found.own, *found.others)
     return [name for name in topics if spaces[name] in wanted]
-
-
-def _is_robot_pose(contents: LogContents, topic: str) -> bool:
-    schema = contents.topics[topic].channel.schema_name
-    return schema.endswith(("Odometry", "PoseInFrame"))
 
 
 def _named(contents: LogContents, names: tuple[str, ...]) -> list[str]:
