@@ -18,7 +18,7 @@ from jaxdet.io.messages import CameraInfoMessage, Kind
 from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream
-from jaxdet.io.topics import Choice, camera_name, is_color_name, listed
+from jaxdet.io.topics import NO_COLOR_TOPIC, Choice, camera_name, is_color_name, listed
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 
 DEPTH_UNIT_M = 0.001
@@ -297,10 +297,7 @@ def _without_color(choice: Choice, color: _Color) -> tuple[str, str]:
         text = "extrinsics" if unplaced else "calibration"
         note = f"colour camera without {text}: pictures show depth"
         return str(color.error), f"{note} ({color.error.problem})"
-    if choice.infrared:
-        why, remedy = "no topic with colour images", "set one with --log.color"
-    else:
-        why, remedy = choice.why_no_color, choice.remedy
+    why, remedy = NO_COLOR_TOPIC if choice.infrared else choice.why_no_color
     return f"{why}; {remedy}", f"no colour ({why}): pictures show depth"
 
 

@@ -151,7 +151,8 @@ def complete(
         (counts.undecodable, "messages can't be decoded"),
     )
     warnings += [f"{topic}: {count} {text}" for count, text in texts if count]
-    if (seconds := _recorded_apart(notes)) > _TWO_CLOCKS_S:
+    later = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
+    if len(later) and (seconds := float(np.median(later))) > _TWO_CLOCKS_S:
         warnings.append(
             "colour and depth images with equal timestamps were recorded "
             f"{seconds:.1f} s apart (median); "
@@ -230,9 +231,3 @@ def _pairing(notes: Notes, tolerance_s: float) -> PairingDescription:
         median_dt_s=float(np.median(apart)) if len(apart) else 0.0,
         max_dt_s=float(apart.max()) if len(apart) else 0.0,
     )
-
-
-def _recorded_apart(notes: Notes) -> float:
-    """Return the median of log time minus timestamp difference between colour and depth [s]."""
-    more = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
-    return float(np.median(more)) if len(more) else 0.0

@@ -102,13 +102,12 @@ class Log:
         options: LogOptions,
     ) -> None:
         self.name = files.name
-        self.calibration = found.calibrated.calibration
+        about, frames = found.calibrated, found.frames
+        self.calibration = about.calibration
         self.T_base_camera, self.base_frame = found.base.T_base_camera, found.base.frame
-        about = found.calibrated
         self.camera_frame, self.color_frame = about.camera_frame, about.color_frame
         self.has_color, self.has_color_camera = about.has_color, about.has_color_camera
         self.color_problem = about.color_problem
-        frames = found.frames
         self.world_frame, self.has_poses = frames.source.world_frame, frames.source.known
         self.num_frames = frames.num_frames
         self._tolerance_s, self._path = options.pair_tolerance_s, str(files.paths[0])
@@ -117,12 +116,10 @@ class Log:
         several = len(found.cameras.names) > 1
         self.label = f"{self.name}, {self.camera}" if several else self.name
         part = options.start, options.stop, options.every
-        self.frames = range(self.num_frames)
         begin_ns, before = first_stamp(frames.num_frames, frames.stamp_ns, frames.log_ns)
         if part != (None, None, 1):
             frames.check_clocks()
-            count, stamp_ns = frames.num_frames, frames.stamp_ns
-            self.frames = find_part(begin_ns, count, stamp_ns, *part, self._path)
+        self.frames = find_part(begin_ns, self.num_frames, frames.stamp_ns, *part, self._path)
         if before and frames.stamp_ns(0):
             text = unset_clock_text(found.choice.depth, before, frames.stamp_ns(0))
             found = found._replace(warnings=(*found.warnings, text))
