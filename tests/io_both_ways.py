@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxdet.errors import RescanError
 from jaxdet.io import Batch, Log, LogDescription, LogFiles, LogOptions, open_log
-from jaxdet.io.notes import Notes, total
+from jaxdet.io.timeline import Notes, total
 
 _ARRAYS = ("color", "depth", "number", "stamp_ns", "color_stamp_ns", "valid", "T_world_camera")
 

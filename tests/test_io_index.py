@@ -16,8 +16,8 @@ from jaxdet.io import Batch, LogOptions, indexed, reading, windows
 from jaxdet.io import log as log_module
 from jaxdet.io import open_log as open_only
 from jaxdet.io.mcap_file import McapFile
-from jaxdet.io.notes import total
 from jaxdet.io.store import ChunkStore
+from jaxdet.io.timeline import total
 from tests.io_both_ways import assert_same_batch, assert_same_log, is_indexed, scanning
 from tests.io_helpers import (
     COLOR,

@@ -25,7 +25,7 @@ from jaxdet.errors import (
     WorkerStartError,
 )
 from jaxdet.io import open_log
-from jaxdet.io.notes import total
+from jaxdet.io.timeline import total
 from jaxdet.memory import size_text
 from jaxdet.pipeline import BackendName
 from jaxdet.render import draw_map, write_png

@@ -14,6 +14,6 @@ from .batch import Batch, LogFrame
 from .description import LogDescription
 from .files import LogFiles, find_logs
 from .log import Log
-from .notes import Notes
 from .opening import open_log
 from .options import LogOptions
+from .timeline import Notes

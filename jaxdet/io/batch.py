@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import FrameStatus
-from jaxdet.io.notes import Notes, total
+from jaxdet.io.timeline import Notes, total
 from jaxdet.types import Frames
 
 _PER_FRAME = ("number", "stamp_ns", "color_stamp_ns", "valid")

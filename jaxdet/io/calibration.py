@@ -18,7 +18,7 @@ from jaxdet.io.messages import CameraInfoMessage, Kind
 from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream
-from jaxdet.io.topics import Choice, camera_name, is_color_name, listed
+from jaxdet.io.topics import NO_COLOR_TOPIC, Choice, camera_name, is_color_name, listed
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 
 DEPTH_UNIT_M = 0.001
@@ -72,21 +72,6 @@ class Calibrated(NamedTuple):
         return {name: info for name, info in self.used.items() if name == self.of_depth}
 
 
-class _Sources(NamedTuple):
-    """Sources of the calibration of both cameras."""
-
-    depth: CameraSource
-    color: CameraSource | None
-    """Source for the colour camera; None if there are no colour images."""
-    depth_frame: str
-    color_frame: str
-
-    @property
-    def same_frame(self) -> bool:
-        """Whether both images have the same TF frame."""
-        return bool(self.color_frame) and self.color_frame == self.depth_frame
-
-
 class _Color(NamedTuple):
     """Calibration of the colour images, and their extrinsics relative to the depth images."""
 
@@ -112,46 +97,48 @@ def calibrate(
     that of the depth topic. If the colour camera has no calibration or extrinsics, its images are
     not used; this is an error only if options for its calibration are set.
 
-    Args:
-        contents: Contents of the log.
-        choice: Chosen topics.
-        options: Options of the user.
-        is_body: Whether the depth images show that their frame is a body frame.
+    The frame of the depth images is a body frame if they show that (``is_body``), or if the
+    extrinsics do.
 
     Raises:
         CalibrationError: A part of the calibration of depth is missing, unknown or contradicts
             another. The message names the flag that supplies it.
     """
-    sources = _sources(contents, choice, options)
     stream = contents.streams[choice.depth]
+    depth, camera = _source(contents, stream, True, options), None
+    if choice.color:
+        camera = _source(contents, contents.streams[choice.color], False, options)
     unit, unit_source, recorded = _units(contents, options, stream)
-    aligned, why = _aligned(sources, choice, options)
+    aligned, why = _aligned(depth, camera, choice, options)
     if aligned and choice.infrared:  # infrared images have other pixels
-        sources = sources._replace(color=None, color_frame="")
-    source = _of_depth(contents, sources, options) if aligned else sources.depth
+        camera = None
+    source = _of_depth(contents, depth, camera, options) if aligned else depth
     found = find_intrinsics(source)
     warnings = [*found.warnings, *_unit_doubts(unit_source, contents.path)]
     warnings += _float_doubts(stream, recorded)
     if aligned:
-        color = _aligned_color(sources, source, found.intrinsics, choice.depth)
-        if source is sources.color:
-            warnings += _aligned_doubts(sources.depth, found.intrinsics)
+        color = _aligned_color(depth, camera, source, found.intrinsics)
+        if source is camera:
+            warnings += _aligned_doubts(depth, found.intrinsics)
         if why == _AS_FOLDERS and source.matrix is not None:  # calibrations of Open3D are exact
             text = f"depth is assumed to be aligned to colour, {why}; otherwise pass "
             warnings.append(f"{text}--log.depth-intrinsics and --log.color-from-depth")
     elif choice.infrared:
-        color = _Color(_same_pixels(sources, found.intrinsics))
+        color = _Color(camera is not None and _same_pixels(depth, camera, found.intrinsics))
+    elif camera is None:
+        color = _Color(False)
     else:
-        color = _other_color(contents, choice, options, sources, found.intrinsics, is_body)
+        color = _other_color(contents, options, depth, camera, found.intrinsics, is_body)
     calibration = _calibration(found, color, unit, contents.path)
-    origins = [_line("depth" if source is sources.depth else "colour", found)]
+    origins = [_line("depth" if source is depth else "colour", found)]
     origins += [_line("colour", color.camera)] if color.camera else []
     origins.append(f"depth unit: {unit:g} m, {unit_source}")
-    described = [source, *([sources.color] if color.camera and sources.color else [])]
+    described = [source, *([camera] if color.camera and camera else [])]
     used = {item.topic: item.info for item in described if item.info and item.matrix is None}
     of_depth = source.topic if source.topic in used else ""
     problem, note = _without_color(choice, color)
-    frame = options.camera_frame or (aligned and sources.color_frame) or sources.depth_frame
+    color_frame = camera.frame if camera else ""
+    frame = options.camera_frame or (aligned and color_frame) or depth.frame
     turned = is_body or color.depth_is_body
     camera_frame, T_frame_camera = _camera_frame(contents, options, frame, turned)
     warnings += [body_frame_text(frame)] if is_body else []
@@ -162,7 +149,7 @@ def calibrate(
         camera_frame=camera_frame,
         tf_frame=frame,
         T_frame_camera=T_frame_camera,
-        color_frame=sources.color_frame if color.usable else "",
+        color_frame=color_frame if color.usable else "",
         has_color=color.usable,
         has_color_camera=aligned or color.camera is not None,
         color_problem=problem,
@@ -207,20 +194,10 @@ def _camera_frame(
     return optical_frame(contents.tree, frame) or f"{frame}_optical", T_BODY_OPTICAL
 
 
-def _sources(contents: LogContents, choice: Choice, options: LogOptions) -> _Sources:
-    depth = contents.streams[choice.depth]
-    color = contents.streams[choice.color] if choice.color else None
-    return _Sources(
-        _source(contents, depth, True, options),
-        _source(contents, color, False, options) if color is not None else None,
-        depth.frame_id(True),
-        color.frame_id(False) if color is not None else "",
-    )
-
-
-def _of_depth(contents: LogContents, sources: _Sources, options: LogOptions) -> CameraSource:
+def _of_depth(
+    contents: LogContents, depth: CameraSource, color: CameraSource | None, options: LogOptions
+) -> CameraSource:
     """Return the source of calibration for depth that is aligned to colour."""
-    depth, color = sources.depth, sources.color
     if color is None:
         color = _without_images(contents, depth, options)
     if (depth.info or depth.matrix) and not (color.info or color.matrix):
@@ -255,17 +232,20 @@ def _without_images(
 
 
 def _aligned_color(
-    sources: _Sources, source: CameraSource, camera: Intrinsics, topic: str
+    depth: CameraSource, color: CameraSource | None, source: CameraSource, camera: Intrinsics
 ) -> _Color:
-    """Return the calibration of colour images to which depth is aligned; their sizes may differ."""
-    color, size = sources.color, (camera.width, camera.height)
+    """Return the calibration of colour images to which depth is aligned; their sizes may differ.
+
+    The depth images have the intrinsics ``camera``, from ``source``.
+    """
+    size = camera.width, camera.height
     if color is None:
         return _Color(False)
-    if source is color and sources.depth.size not in (None, size):
-        width, height = sources.depth.size or size
+    if source is color and depth.size not in (None, size):
+        width, height = depth.size or size
         problem = f"aligned depth is {width}x{height}, but colour is {camera.width}x{camera.height}"
         remedy = "pass --log.no-depth-aligned, or choose another topic with --log.depth"
-        raise CalibrationError(problem, path=color.path, topic=topic, remedy=remedy)
+        raise CalibrationError(problem, path=color.path, topic=depth.images, remedy=remedy)
     if color.size in (None, size):
         return _Color(True)
     try:
@@ -278,10 +258,10 @@ def _aligned_color(
 
 def _other_color(
     contents: LogContents,
-    choice: Choice,
     options: LogOptions,
-    sources: _Sources,
-    depth: Intrinsics,
+    depth: CameraSource,
+    color: CameraSource,
+    depth_camera: Intrinsics,
     is_body: bool,
 ) -> _Color:
     """Return the calibration and the extrinsics of a separate colour camera.
@@ -290,20 +270,13 @@ def _other_color(
         CalibrationError: The calibration or extrinsics of the colour camera are missing, and
             options for them are set.
     """
-    if sources.color is None:
-        return _Color(False)
     try:
-        camera = find_intrinsics(sources.color)
+        camera = find_intrinsics(color)
+        one_lens = _one_lens(camera.intrinsics, depth_camera)
         found = find_extrinsics(
-            contents,
-            options,
-            (choice.color, choice.depth),
-            sources.color_frame,
-            options.camera_frame or sources.depth_frame,
-            one_lens=_one_lens(camera.intrinsics, depth),
-            depth_is_body=is_body,
+            contents, options, color, depth, one_lens=one_lens, depth_is_body=is_body
         )
-        calibration = Calibration(depth, camera.intrinsics, found.extrinsics)
+        calibration = Calibration(depth_camera, camera.intrinsics, found.extrinsics)
         check_calibration(calibration)
     except CalibrationError as error:
         of_color = "color_info", "color_intrinsics", "color_distortion", "color_from_depth"
@@ -324,24 +297,21 @@ def _without_color(choice: Choice, color: _Color) -> tuple[str, str]:
         text = "extrinsics" if unplaced else "calibration"
         note = f"colour camera without {text}: pictures show depth"
         return str(color.error), f"{note} ({color.error.problem})"
-    if choice.infrared:
-        why, remedy = "no topic with colour images", "set one with --log.color"
-    else:
-        why, remedy = choice.why_no_color, choice.remedy
+    why, remedy = NO_COLOR_TOPIC if choice.infrared else choice.why_no_color
     return f"{why}; {remedy}", f"no colour ({why}): pictures show depth"
 
 
-def _same_pixels(sources: _Sources, camera: Intrinsics) -> bool:
+def _same_pixels(depth: CameraSource, infrared: CameraSource, camera: Intrinsics) -> bool:
     """Return whether infrared images have the pixels of depth: same size, and matrix or frame."""
-    color = sources.color
-    if color is None or color.size not in (None, (camera.width, camera.height)):
+    if infrared.size not in (None, (camera.width, camera.height)):
         return False
-    if color.info is None:
-        return sources.same_frame
+    if infrared.info is None:
+        return depth.shares_frame(infrared)
     try:
-        return np.allclose(find_intrinsics(color).intrinsics[2:6], camera[2:6], rtol=0, atol=0.5)
+        own = find_intrinsics(infrared).intrinsics
     except CalibrationError:
         return False
+    return np.allclose(own[2:6], camera[2:6], rtol=0, atol=0.5)
 
 
 def _depth_unit(contents: LogContents, options: LogOptions, depth_topic: str) -> tuple[float, str]:
@@ -386,9 +356,10 @@ def _float_doubts(stream: ImageStream, recorded: float) -> list[str]:
     return []
 
 
-def _aligned(sources: _Sources, choice: Choice, options: LogOptions) -> tuple[bool, str]:
+def _aligned(
+    depth: CameraSource, color: CameraSource | None, choice: Choice, options: LogOptions
+) -> tuple[bool, str]:
     """Return whether depth is aligned to colour, and the reason."""
-    depth, color = sources.depth, sources.color
     if options.depth_aligned is not None:
         flag = "--log.depth-aligned" if options.depth_aligned else "--log.no-depth-aligned"
         return options.depth_aligned, f"set by {flag}"
@@ -396,7 +367,9 @@ def _aligned(sources: _Sources, choice: Choice, options: LogOptions) -> tuple[bo
         return False, "depth has its own calibration"
     if choice.aligned_by_name:
         return True, _AS_FOLDERS if Path(depth.path).is_dir() else "by the topic's name"
-    if color is None or choice.infrared or not sources.same_frame or depth.size != color.size:
+    if color is None or choice.infrared:
+        return False, ""
+    if not depth.shares_frame(color) or depth.size != color.size:
         return False, ""
     if depth.info is None:
         return True, "same frame and size as colour"
@@ -445,6 +418,8 @@ def _source(
     info = known.of(size) if known else None
     return CameraSource(
         name=name,
+        images=stream.topic,
+        frame=stream.frame_id(depth),
         topic=topic,
         info=info,
         size=size,

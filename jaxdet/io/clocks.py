@@ -16,6 +16,7 @@ from jaxdet.io.contents import LogContents
 from jaxdet.io.moments import EPOCH, MICROSECOND
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream
+from jaxdet.io.topics import Choice
 
 _LEAST_S = 0.5
 """Minimum offset between different clocks that is corrected [s]. Smaller offsets may also be due to
@@ -66,63 +67,43 @@ class Offset(NamedTuple):
 
 
 def color_offset(
-    contents: LogContents,
-    options: LogOptions,
-    depth_topic: str,
-    color_topic: str,
-    last_delay_ns: int,
+    contents: LogContents, options: LogOptions, choice: Choice, last_delay_ns: int
 ) -> Offset:
     """Return the offset of the timestamps of colour relative to depth.
 
     If the timestamps of both agree, different log times don't matter: one topic was written later.
-    If the clock of depth was adjusted during the recording, there is no constant offset.
-
-    Args:
-        contents: Contents of the log.
-        options: Options of the user.
-        depth_topic: Topic of the depth images.
-        color_topic: Topic of the colour images; may be empty.
-        last_delay_ns: Timestamp minus log time of the last depth image.
+    If the clock of depth was adjusted during the recording, there is no constant offset: the last
+    depth image has another delay (timestamp minus log time) than the first ones.
     """
     if options.color_offset_s is not None:
         return Offset(round(options.color_offset_s * 1e9))
-    if not color_topic or color_topic == depth_topic:
+    if choice.color == choice.depth:
         return Offset()
-    depth, color = contents.streams[depth_topic], contents.streams[color_topic]
+    depth, color = contents.streams[choice.depth], contents.streams[choice.color]
     delays = _delays(depth)
     stepped = len(delays) and abs(last_delay_ns - np.median(delays)) > _LEAST_S * 1e9
     if stepped or _stamps_agree(depth, color):
         return Offset()
     found = _difference(_delays(color), _delays(depth)).offset_ns
-    return Offset(found, _text(color_topic, found, "--log.color-offset-s")) if found else Offset()
+    return Offset(found, _text(choice.color, found, "--log.color-offset-s")) if found else Offset()
 
 
 def pose_offset(
-    contents: LogContents,
-    options: LogOptions,
-    depth_topic: str,
-    color_topic: str,
-    sources: list[tuple[str, str]],
+    contents: LogContents, options: LogOptions, choice: Choice, sources: list[tuple[str, str]]
 ) -> Offset:
     """Return the offset of the timestamps of poses relative to depth.
 
     A difference that is too small for a correction, but not explained by latency and jitter, is
     only reported: log times don't show whether a clock is wrong or poses were computed late.
 
-    Args:
-        contents: Contents of the log.
-        options: Options of the user.
-        depth_topic: Topic of the depth images.
-        color_topic: Topic of the colour images; may be empty.
-        sources: Topic and TF frame of each moving transform, or a pose topic and an empty frame.
-            There is no offset if any of them has the clock of depth; the others may be
-            future-dated.
+    ``sources`` has topic and TF frame of each moving transform, or a pose topic and an empty frame.
+    There is no offset if any of them has the clock of depth; the others may be future-dated.
     """
     if options.pose_offset_s is not None:
         return Offset(round(options.pose_offset_s * 1e9))
-    images = [contents.streams[depth_topic]]
-    if color_topic and color_topic != depth_topic:
-        color = contents.streams[color_topic]
+    images = [contents.streams[choice.depth]]
+    if choice.color not in ("", choice.depth):
+        color = contents.streams[choice.color]
         # If the stamps agree but only depth differs from the poses, depth was written later.
         images += [color] if _stamps_agree(images[0], color) else []
     seen = {key: contents.delays[key].first for key in sources if key in contents.delays}

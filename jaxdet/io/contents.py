@@ -119,11 +119,7 @@ class Delays:
 
 
 class LogContents:
-    """Contents of a log, without the pixels of its images.
-
-    Args:
-        path: Path of the log, for errors.
-    """
+    """Contents of a log, without the pixels of its images; errors name its ``path``."""
 
     def __init__(self, path: str) -> None:
         self.path = path
@@ -147,11 +143,7 @@ class LogContents:
         """Remarks that need no action."""
 
     def of_camera(self, topic: str) -> "LogContents":
-        """Return a copy with the transforms of the robot that carries a camera.
-
-        Args:
-            topic: Topic of the camera's depth images.
-        """
+        """Return a copy with the transforms of the robot whose camera has this depth topic."""
         own, others = namespaces_of_camera(self.trees, topic, self.streams)
         found = copy(self)
         found.tree = TransformTree.joined(
@@ -239,13 +231,7 @@ class ContentsBuilder:
         self._decoders[channel] = decoder
         return decoder
 
-    def _image(
-        self,
-        topic: str,
-        decoder: MessageDecoder,
-        log_ns: int,
-        payload: memoryview,
-    ) -> None:
+    def _image(self, topic: str, decoder: MessageDecoder, log_ns: int, payload: memoryview) -> None:
         stream = self.contents.streams.get(topic)
         if stream is None:
             stream = self.contents.streams[topic] = ImageStream(topic, decoder.kind)
@@ -263,16 +249,15 @@ class ContentsBuilder:
     ) -> int:
         message = decoder.decode(payload)
         if isinstance(message, RgbdMessage):
-            color, depth = message.color, message.depth
             for name, info in (("rgb", message.color_info), ("depth", message.depth_info)):
                 self._calibrations(f"{stream.topic} ({name})").add(info, log_ns)
             if len(stream.probes) < NUM_PROBES:
-                check_pixels(color)
-                check_pixels(depth)
-                self._see_floats(stream, depth)
-                color, depth = color._replace(data=b""), depth._replace(data=b"")
+                for image in (message.color, message.depth):
+                    check_pixels(image)
+                self._see_floats(stream, message.depth)
+                color, depth = (one._replace(data=b"") for one in (message.color, message.depth))
                 stream.probes.append(message._replace(color=color, depth=depth))
-            return depth.stamp_ns
+            return message.depth.stamp_ns
         assert isinstance(message, ImageMessage | CompressedImageMessage)
         if isinstance(message, ImageMessage):
             check_pixels(message)
@@ -326,12 +311,11 @@ class ContentsBuilder:
                 tree = trees.setdefault(namespace_of(topic), new)
                 tree.add(motions, decoder.is_static, decoder.is_foxglove, topic)
         elif self.images:
+            poses = self.contents.poses
             for item in motions:
-                if topic not in self.contents.poses:
-                    self.contents.poses[topic] = PoseTrack(item)
-                self.contents.poses[topic].samples.add(
-                    item.stamp_ns, item.translation, item.rotation
-                )
+                if topic not in poses:
+                    poses[topic] = PoseTrack(item)
+                poses[topic].samples.add(item.stamp_ns, item.translation, item.rotation)
 
 
 def image_stamps(decoder: MessageDecoder, payload: memoryview) -> tuple[int, int]:

@@ -9,7 +9,7 @@ from jaxdet.io.contents import LogContents
 from jaxdet.io.file_index import FileIntegrity
 from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
-from jaxdet.io.notes import Notes
+from jaxdet.io.timeline import Notes
 from jaxdet.io.windows import IndexedFrames
 
 _SLOW_S = 0.05
@@ -105,15 +105,7 @@ class LogDescription(NamedTuple):
 def describe(
     files: LogFiles, contents: LogContents, found: Findings, numbers: range, first_ns: int
 ) -> LogDescription:
-    """Describe a log.
-
-    Args:
-        files: Files of the log.
-        contents: Contents of the files.
-        found: Topics, calibration and frames used.
-        numbers: Numbers of the selected frames.
-        first_ns: Start of the log's time axis [ns].
-    """
+    """Describe a log with the selected frame ``numbers``; its time axis starts at ``first_ns``."""
     warnings = [*contents.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.frames.source.warnings, *found.cameras.warnings]
     count, color = found.frames.num_frames, found.choice.color
@@ -144,13 +136,10 @@ def describe(
 def complete(
     about: LogDescription, notes: Notes, tolerance_s: float, *, has_poses: bool
 ) -> LogDescription:
-    """Add the results of reading all frames to a description.
+    """Add the results of reading all frames to the description at the opening of a log.
 
-    Args:
-        about: Description at the opening of the log.
-        notes: Observations of all frames.
-        tolerance_s: Tolerance of the pairing [s].
-        has_poses: Whether the log has poses at any time.
+    ``tolerance_s`` is the tolerance of the pairing [s], and ``has_poses`` whether the log has poses
+    at any time.
     """
     pairing = _pairing(notes, tolerance_s)
     warnings, counts = [], notes.depth
@@ -162,7 +151,8 @@ def complete(
         (counts.undecodable, "messages can't be decoded"),
     )
     warnings += [f"{topic}: {count} {text}" for count, text in texts if count]
-    if (seconds := _recorded_apart(notes)) > _TWO_CLOCKS_S:
+    later = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
+    if len(later) and (seconds := float(np.median(later))) > _TWO_CLOCKS_S:
         warnings.append(
             "colour and depth images with equal timestamps were recorded "
             f"{seconds:.1f} s apart (median); "
@@ -241,9 +231,3 @@ def _pairing(notes: Notes, tolerance_s: float) -> PairingDescription:
         median_dt_s=float(np.median(apart)) if len(apart) else 0.0,
         max_dt_s=float(apart.max()) if len(apart) else 0.0,
     )
-
-
-def _recorded_apart(notes: Notes) -> float:
-    """Return the median of log time minus timestamp difference between colour and depth [s]."""
-    more = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
-    return float(np.median(more)) if len(more) else 0.0

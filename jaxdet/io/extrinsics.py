@@ -8,6 +8,7 @@ from jaxdet.elementary import matmul
 from jaxdet.errors import TransformError, printable
 from jaxdet.io.body_frames import body_frame_text, in_optical_axes
 from jaxdet.io.contents import LogContents
+from jaxdet.io.intrinsics import CameraSource
 from jaxdet.io.motion import difference, inverse, motion_matrix
 from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import LogOptions
@@ -30,32 +31,28 @@ class FoundExtrinsics(NamedTuple):
 def find_extrinsics(
     contents: LogContents,
     options: LogOptions,
-    topics: tuple[str, str],
-    color_frame: str,
-    depth_frame: str,
+    color: CameraSource,
+    depth: CameraSource,
     *,
     one_lens: bool,
     depth_is_body: bool = False,
 ) -> FoundExtrinsics:
     """Return ``T_color_depth``: from the flag, else equal frames, the extrinsics topic, or TF.
 
-    The result is the identity if both images are in the same TF frame and from the same lens,
-    regardless of their sizes and of any topic. The lenses are compared because some drivers use the
-    same frame for all cameras. A difference between topic and TF is a warning. Without any source
-    there is an error: the identity is not a default.
+    The result is the identity if both images are in the same TF frame and from the same lens
+    (``one_lens``: their camera matrices are equal, apart from the image size), regardless of any
+    topic. The lenses are compared because some drivers use the same frame for all cameras. A
+    difference between topic and TF is a warning. Without any source there is an error: the identity
+    is not a default.
 
-    Args:
-        contents: Contents of the log.
-        options: Options of the user.
-        topics: Topics of the colour and of the depth images.
-        color_frame: TF frame of the colour images; empty if unknown.
-        depth_frame: TF frame of the depth images.
-        one_lens: Whether the camera matrices are equal, apart from the image size.
-        depth_is_body: Whether depth's frame is a body frame, see :mod:`jaxdet.io.body_frames`.
+    The frame of depth may be known to be a body frame (``depth_is_body``), see
+    :mod:`jaxdet.io.body_frames`.
 
     Raises:
         CalibrationError: The log contains no extrinsics, or the transforms form a cycle.
     """
+    color_frame, depth_frame = color.frame, options.camera_frame or depth.frame
+    topics = color.images, depth.images
     given = options.color_from_depth
     if given is not None:
         T = motion_matrix(np.array(given[:3]), np.array(given[3:]))

@@ -156,7 +156,7 @@ class _Named(NamedTuple):
     """A file or folder from the inputs."""
 
     place: Path
-    """Path in which the links of folders are resolved, see :func:`place_of`."""
+    """Path in which the links of folders are resolved."""
     target: Path
     """Path with all links resolved, including a link of the file itself."""
     path: Path
@@ -164,7 +164,7 @@ class _Named(NamedTuple):
 
 
 def _once(found: Iterable[Path]) -> dict[Path, _Named]:
-    """Return each file once, by :func:`place_of`; links to a file that was found are dropped.
+    """Return each file once, by its ``place``; links to a file that was found are dropped.
 
     Links of files are not resolved for names, as caches of data sets link to files named by a hash.
     """
@@ -179,13 +179,11 @@ def _once(found: Iterable[Path]) -> dict[Path, _Named]:
     return {one.place: one for one in own.values()}
 
 
-def place_of(path: Path) -> Path:
-    """Return the path of a file with the links of its folders resolved, but not its own link."""
-    return _place(path, {})
-
-
 def _place(path: Path, folders: dict[Path, Path]) -> Path:
-    """Return :func:`place_of` a path; ``folders`` caches resolved folders."""
+    """Return the path of a file with the links of its folders resolved, but not its own link.
+
+    ``folders`` caches resolved folders.
+    """
     if path.is_dir():
         return path.resolve()
     parent = path.parent
@@ -308,13 +306,6 @@ def _nothing(
     text: str, others: Sequence[Path], exports: Sequence[Path], gone: Sequence[Path]
 ) -> InputError:
     """Return the error for an input without logs, depending on its other contents."""
-    known = ", ".join(layout.names for layout in LAYOUTS)
-    where, remedy = (
-        text,
-        f"pass an MCAP file, or a folder of images in one of these layouts: {known}",
-    )
-    remedy += " (jaxdet help logs describes them)"
-    problem = "no .mcap, .bag or .db3 file and no folder of images found"
     if others:
         where, remedy = str(others[0]), _advice(others[0])
         problem = f"{others[0].suffix} files are not supported, and the input has no others"
@@ -324,6 +315,11 @@ def _nothing(
     elif gone:
         where, remedy = str(gone[0]), "correct the link"
         problem = "this is a broken link, and the input has no other files"
+    else:
+        layouts = ", ".join(layout.names for layout in LAYOUTS)
+        remedy = f"pass an MCAP file, or a folder of images in one of these layouts: {layouts}"
+        where, remedy = text, f"{remedy} (jaxdet help logs describes them)"
+        problem = "no .mcap, .bag or .db3 file and no folder of images found"
     return InputError(problem, path=where, remedy=remedy)
 
 
@@ -374,17 +370,18 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
     recording may be partly converted, or it may be a different recording.
     """
     known: dict[tuple[Path, str], dict[str, list[Path]]] = {}
-    of = [known.setdefault(recording_of(file), {}) for file in found]
-    for file, formats in zip(found, of, strict=True):
-        formats.setdefault(format_of(file), []).append(file)
+    for file in found:
+        formats = known.setdefault((file.parent, _split(file)[0]), {})
+        formats.setdefault(file.suffix.lower(), []).append(file)
     taken, left = [], []
-    for file, formats in zip(found, of, strict=True):
-        rather = SUFFIXES[: SUFFIXES.index(format_of(file))]
+    for file in found:
+        stem, number = _split(file)
+        formats = known[file.parent, stem]
+        rather = SUFFIXES[: SUFFIXES.index(file.suffix.lower())]
         better = [one for kind in rather for one in formats.get(kind, ())]
-        number = _split(file)[1] if better else -1
         same = [one for one in better if number < 0 or _split(one)[1] in (number, -1)]
-        if better and (same or _has_times_of(file, formats[format_of(better[0])])):
-            suffix = format_of((same or better)[0])
+        if same or (better and _has_times_of(file, formats[better[0].suffix.lower()])):
+            suffix = (same or better)[0].suffix.lower()
             left.append((file, f"the same recording exists as {suffix}"))
         else:
             taken.append(file)
@@ -399,16 +396,6 @@ def _has_times_of(file: Path, others: Sequence[Path]) -> bool:
         return True
     first, last = zip(*spans, strict=True)
     return known.span_ns[0] < max(last) and known.span_ns[1] > min(first)
-
-
-def recording_of(path: Path) -> tuple[Path, str]:
-    """Return a key that all files of a recording share, regardless of format."""
-    return path.parent, _split(path)[0]
-
-
-def format_of(path: Path) -> str:
-    """Return the suffix of a file's format, one of :data:`SUFFIXES`."""
-    return path.suffix.lower()
 
 
 def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:

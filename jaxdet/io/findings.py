@@ -1,25 +1,19 @@
 """Topics, calibration, poses and frames of a log, determined before images are decoded."""
 
-from collections.abc import Callable, Iterable
-from functools import partial
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.elementary import matmul
-from jaxdet.errors import (
-    JaxdetError,
-    RescanError,
-    TransformError,
-    printable,
-)
+from jaxdet.errors import JaxdetError, RescanError, TransformError, printable
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
-from jaxdet.io.clocks import color_offset, pose_offset
+from jaxdet.io.clocks import Offset, color_offset, pose_offset
 from jaxdet.io.contents import LogContents
 from jaxdet.io.indexed import IndexedLog, may_repeat
 from jaxdet.io.options import LogOptions
-from jaxdet.io.poses import Base, PoseSource, best_source, find_base, pose_sources
+from jaxdet.io.poses import Base, PoseSource, find_base, pose_sources
 from jaxdet.io.streams import NUM_PROBES
 from jaxdet.io.topics import Choice
 from jaxdet.io.validity import CalibrationWindows
@@ -27,6 +21,8 @@ from jaxdet.io.windows import IndexedFrames
 
 _POSE_SAMPLE = 8
 """Number of frames sampled to estimate how many have a pose."""
+_ENOUGH = 0.5
+"""Fraction of known poses above which a world frame is used without trying the next one."""
 
 
 class Findings(NamedTuple):
@@ -46,10 +42,7 @@ class Findings(NamedTuple):
 def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Findings:
     """Determine the topics, calibration, poses and frames of a log.
 
-    Args:
-        log: Indexes of the log, with the messages read at opening.
-        options: Options of the user.
-        is_body: Whether the depth images show that their frame is a body frame.
+    The depth images may show that their frame is a body frame (``is_body``).
 
     Raises:
         CamerasError: There are several cameras.
@@ -68,15 +61,14 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
     calibrated = calibrate(contents, choice, options, is_body=is_body)
     if calibrated.color_error is not None:
         check_sampled(log, calibrated.color_error)
-    frames, warnings = _frames(log, choice, calibrated, options)
-    used = choice.color if frames.color else ""
-    last = frames.num_frames - 1
-    delay_ns = frames.stamp_ns(last) - frames.log_ns(last) if last >= 0 else 0
-    of_color = color_offset(contents, options, choice.depth, used, delay_ns)
-    motions = log.motions.of_tree(contents.tree)
-    frames = frames._replace(motions=motions, color_offset_ns=of_color.ns)
-    share_known = partial(_share_known, frames, is_complete=log.is_complete)
-    base, poses = _find(contents, choice, calibrated, options, share_known)
+    frames, warnings = _frames(log, contents, choice, calibrated, options)
+    of_color = Offset()
+    if frames.color:
+        last = frames.num_frames - 1
+        delay_ns = frames.stamp_ns(last) - frames.log_ns(last)
+        of_color = color_offset(contents, options, choice, delay_ns)
+        frames = frames._replace(color_offset_ns=of_color.ns)
+    base, poses = _find_poses(log, contents, choice, calibrated, options, frames)
     frames_used = {calibrated.tf_frame, calibrated.color_frame, base.frame or "", poses.world}
     frames_used.add(contents.streams[choice.depth].frame_id(True))
     if not log.motions.whole and contents.tree.sampled_once() & {
@@ -95,7 +87,11 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
 
 
 def _frames(
-    log: IndexedLog, choice: Choice, calibrated: Calibrated, options: LogOptions
+    log: IndexedLog,
+    contents: LogContents,
+    choice: Choice,
+    calibrated: Calibrated,
+    options: LogOptions,
 ) -> tuple[IndexedFrames, list[str]]:
     """Return the frames of the chosen topics, without poses, and warnings about them.
 
@@ -105,7 +101,7 @@ def _frames(
     Raises:
         RescanError: The first messages show that all messages must be read.
     """
-    path, warnings, zero = log.contents.path, list[str](), set[str]()
+    warnings, zero = list[str](), set[str]()
     topics = dict.fromkeys((choice.depth, *((choice.color,) if calibrated.has_color else ())))
     streams = {topic: log.streams[topic] for topic in topics}
     if log.is_complete:
@@ -128,33 +124,14 @@ def _frames(
     frames = IndexedFrames(
         depth,
         color,
-        log.motions,
+        log.motions.of_tree(contents.tree),
         PoseSource(""),
         options.pair_tolerance_s,
-        path,
+        contents.path,
         _calibrations(log, choice, calibrated, by_log_time=choice.depth in zero),
         by_log_time=bool(zero),
     )
     return frames, warnings
-
-
-def _share_known(frames: IndexedFrames, source: PoseSource, *, is_complete: bool) -> float:
-    """Return the fraction of sampled frames for which a source has the pose, 0 to 1.
-
-    If no sampled frame has a pose, the fraction of all frames is returned, reduced so that any
-    source with poses in its sample is preferred.
-
-    Raises:
-        RescanError: No sampled frame has a pose, and not all messages were read.
-    """
-    looked, count = frames._replace(source=source, color=None), frames.num_frames
-    sample = np.unique(np.linspace(0, count - 1, _POSE_SAMPLE).astype(np.int64)).tolist()
-    share = float(np.mean([looked.window(i, i + 1).notes.poses for i in sample]))
-    if share or len(sample) == count:
-        return share
-    if not is_complete:
-        raise RescanError("no sampled frame has a pose in the world frame", path=frames.path)
-    return looked.window(0, count).notes.poses / count / 100
 
 
 def _check_stamps(log: IndexedLog, topics: Iterable[str]) -> None:
@@ -174,33 +151,36 @@ def _check_stamps(log: IndexedLog, topics: Iterable[str]) -> None:
 def _calibrations(
     log: IndexedLog, choice: Choice, calibrated: Calibrated, *, by_log_time: bool
 ) -> CalibrationWindows:
-    used, changes = calibrated.used, None
-    infos = [log.calibrations[topic] for topic in sorted(used) if topic in log.calibrations]
+    used, topic, changes = calibrated.used, calibrated.of_depth, None
+    infos = [log.calibrations[name] for name in sorted(used) if name in log.calibrations]
     if log.is_complete:
-        of_depth = calibrated.used_for_depth.items()
-        if log.streams[choice.depth].is_rgbd:  # RGBD messages contain their own calibration
-            of_depth = ()
-        changes = [(log.contents.calibrations[topic].changes, info) for topic, info in of_depth]
+        # RGBD messages contain their own calibration.
+        is_separate = topic and not log.streams[choice.depth].is_rgbd
+        changes = log.contents.calibrations[topic].changes if is_separate else ()
     path = log.contents.path
-    return CalibrationWindows(infos, used, log.store, path, changes, by_log_time=by_log_time)
+    return CalibrationWindows(infos, used, log.store, path, topic, changes, by_log_time=by_log_time)
 
 
-def _find(
+def _find_poses(
+    log: IndexedLog,
     contents: LogContents,
     choice: Choice,
     calibrated: Calibrated,
     options: LogOptions,
-    share_known: Callable[[PoseSource], float],
+    frames: IndexedFrames,
 ) -> tuple[Base, PoseSource]:
     """Return floor and poses of the depth camera.
 
     If TF lacks the frame of the depth camera, they follow from that of the colour camera.
     """
     frame, T_frame_camera = calibrated.tf_frame, calibrated.T_frame_camera
-    motion, frames = calibrated.calibration.color_from_depth, contents.tree.frames
-    if motion is not None and frame not in frames and calibrated.color_frame in frames:
+    motion, known = calibrated.calibration.color_from_depth, contents.tree.frames
+    if motion is not None and frame not in known and calibrated.color_frame in known:
         frame = calibrated.color_frame
         T_frame_camera = motion.T if T_frame_camera is None else matmul(T_frame_camera, motion.T)
+
+    def share_known(source: PoseSource) -> float:
+        return _share_known(frames._replace(source=source, color=None), log.is_complete)
 
     def on_clock(source: PoseSource) -> PoseSource:
         if not source.known:
@@ -208,7 +188,7 @@ def _find(
         topics = [(source.topic, "")] if source.topic else []
         moving = source.moving(contents.tree)
         topics = topics or [(contents.tree.topic(name), name) for name in moving]
-        offset = pose_offset(contents, options, choice.depth, choice.color, topics)
+        offset = pose_offset(contents, options, choice, topics)
         warnings = (*source.warnings, *filter(None, [offset.text]))
         found = source._replace(offset_ns=offset.ns, warnings=warnings)
         # If a clock was adjusted during the recording, fewer poses are known with the offset.
@@ -216,13 +196,40 @@ def _find(
         return source if is_measured and share_known(source) > share_known(found) else found
 
     base = find_base(contents, options, frame)
-    sources = pose_sources(contents, options, choice.depth, frame, base.frame)
-    poses = best_source(sources, share_known, on_clock)
+    *sources, last = pose_sources(contents, options, choice.depth, frame, base.frame)
+    poses, most = None, 0.0
+    for source in map(on_clock, sources):
+        share = share_known(source)
+        if share > most:
+            more = f", which has more poses than {printable(poses.world)!r}" if poses else ""
+            poses, most = source._replace(text=source.text + more), share
+        if most >= _ENOUGH:
+            break
+    poses = poses or on_clock(last)
     if T_frame_camera is not None and base.T_base_camera is not None:
         base = base._replace(T_base_camera=matmul(base.T_base_camera, T_frame_camera))
-    if calibrated.camera_frame != frame and calibrated.camera_frame not in frames:
+    if calibrated.camera_frame not in (frame, *known):
         poses = poses._replace(text=poses.text.replace("poses: TF", "poses: turned, TF"))
     return base, poses._replace(T_frame_camera=T_frame_camera)
+
+
+def _share_known(frames: IndexedFrames, is_complete: bool) -> float:
+    """Return the fraction of sampled frames whose pose is known, 0 to 1.
+
+    If no sampled frame has a pose, the fraction of all frames is returned, reduced so that any
+    source with poses in its sample is preferred.
+
+    Raises:
+        RescanError: No sampled frame has a pose, and not all messages were read.
+    """
+    count = frames.num_frames
+    sample = np.unique(np.linspace(0, count - 1, _POSE_SAMPLE).astype(np.int64)).tolist()
+    share = float(np.mean([frames.window(i, i + 1).notes.poses for i in sample]))
+    if share or len(sample) == count:
+        return share
+    if not is_complete:
+        raise RescanError("no sampled frame has a pose in the world frame", path=frames.path)
+    return frames.window(0, count).notes.poses / count / 100
 
 
 def check_sampled(log: IndexedLog, error: JaxdetError) -> None:

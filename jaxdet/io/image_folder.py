@@ -1,19 +1,62 @@
-"""Folders of colour and depth images as logs, in the layouts of :mod:`jaxdet.io.folders`."""
+"""Folders of colour and depth images as logs of ROS 2 messages (CDR).
+
+The layouts of the folders are in :mod:`jaxdet.io.folders`.
+"""
 
 import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
+from jaxdet.io.compressed import ROTATED, with_confidence
 from jaxdet.io.container import FileState, MessageFile, MessageRow
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.folders.basic import RATE_HZ
 from jaxdet.io.folders.layouts import read_recording
-from jaxdet.io.folders.messages import TOPICS, encode_recording
+from jaxdet.io.folders.recording import Pose, Recording
+from jaxdet.io.writer_cdr import camera_info, encode_cdr, header, xyz
+
+_CONFIDENCE = "confidence"
+"""Subfolder with a confidence PNG per depth image, with the same name."""
+_TOPICS = {
+    "/camera/color/image": "sensor_msgs/CompressedImage",
+    "/camera/depth_registered/image": "sensor_msgs/CompressedImage",
+    "/camera/color/camera_info": "sensor_msgs/CameraInfo",
+    "/camera/depth_registered/option/Depth Units/value": "std_msgs/Float32",
+    "/tf": "tf2_msgs/TFMessage",
+    "/camera/depth_registered/camera_info": "sensor_msgs/CameraInfo",
+}
+"""Types by topic; the channel of a topic is its number in this order."""
+_TYPES = tuple(_TOPICS.values())
+_COLOR, _DEPTH, _INFO, _UNIT, _TF, _DEPTH_INFO = range(len(_TOPICS))
+_FRAME = "camera_color_optical_frame"
+
+
+class _Message(NamedTuple):
+    """A message, consisting of bytes followed by the contents of files."""
+
+    log_ns: int
+    channel: int
+    head: bytes
+    files: tuple[tuple[Path, int], ...] = ()
+    """Path and size of an image and, for depth, optionally of its confidences; the size of a
+    missing file is 0."""
+
+    @property
+    def size(self) -> int:
+        """Total size [byte]."""
+        return len(self.head) + sum(size for _, size in self.files)
+
+    @property
+    def path(self) -> Path | None:
+        """Path of the image; None for other messages."""
+        return self.files[0][0] if self.files else None
 
 
 class ImageFolder(MessageFile):
@@ -32,7 +75,7 @@ class ImageFolder(MessageFile):
             self.state = state or _state(path)
             self.check_unchanged()
             recording = read_recording(path)
-            self._messages = encode_recording(path, recording)
+            self._messages = _encode(path, recording)
         except OSError as error:
             problem = f"can't be read ({error.strerror})"
             raise InputError(problem, path=str(path), remedy="check the folder") from error
@@ -42,7 +85,7 @@ class ImageFolder(MessageFile):
         self.size = sum(item.size for item in self._messages)
         self.infos = {
             number: ChannelInfo(topic, "cdr", name, "ros2msg", schema_text(name).encode())
-            for number, (topic, name) in enumerate(TOPICS.items())
+            for number, (topic, name) in enumerate(_TOPICS.items())
         }
 
     def read_index(self) -> FileIndex:
@@ -117,3 +160,59 @@ def _state(folder: Path) -> FileState:
     parts = [os.stat(part) for part in sorted(folder.iterdir()) if part.is_dir()]
     latest = max(item.st_mtime_ns for item in (about, *parts))
     return FileState(about.st_dev, about.st_ino, about.st_size, latest)
+
+
+def _encode(folder: Path, recording: Recording) -> list[_Message]:
+    """Return the messages of a folder in order of time.
+
+    Raises:
+        OSError: A file can't be read.
+    """
+    found = [_image(_COLOR, "png", image.stamp_ns, image.path) for image in recording.color]
+    has_confidence = (folder / _CONFIDENCE).is_dir()
+    for stamp_ns, path in recording.depth:
+        masks = [folder / _CONFIDENCE / path.name] if has_confidence else []
+        form = "16UC1; png" + (with_confidence(_size(path)) if masks else "")
+        form += ROTATED if recording.is_rotated else ""
+        found.append(_image(_DEPTH, form, stamp_ns, path, *masks))
+    first_ns = min((message.log_ns for message in found), default=0)
+    found += _cameras(recording, first_ns)
+    found += [_transform(pose) for pose in recording.poses]
+    return sorted(found, key=lambda message: message[:2])
+
+
+def _image(channel: int, form: str, stamp_ns: int, *paths: Path) -> _Message:
+    """Return the message with the contents of files as data, and with ``form`` as ``format``."""
+    files = tuple((path, _size(path)) for path in paths)
+    about = {"header": header(stamp_ns, _FRAME), "format": form, "data": b""}
+    head = encode_cdr(_TYPES[channel], about)
+    head = head[:-4] + sum(size for _, size in files).to_bytes(4, "little")
+    return _Message(stamp_ns, channel, head, files)
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else 0
+
+
+def _cameras(recording: Recording, log_ns: int) -> Iterator[_Message]:
+    """Yield the messages of calibration and depth unit."""
+    color, depth, unit_m = recording.cameras
+    for channel, camera in ((_INFO, color), (_DEPTH_INFO, depth)):
+        if camera is not None:
+            yield _message(log_ns, channel, camera_info(log_ns, _FRAME, camera))
+    if unit_m is not None:
+        yield _message(log_ns, _UNIT, {"data": unit_m})
+
+
+def _transform(pose: Pose) -> _Message:
+    rotation = dict(zip("xyzw", pose.quaternion, strict=True))
+    transform = {
+        "header": header(pose.stamp_ns, "map"),
+        "child_frame_id": _FRAME,
+        "transform": {"translation": xyz(pose.translation), "rotation": rotation},
+    }
+    return _message(pose.stamp_ns, _TF, {"transforms": [transform]})
+
+
+def _message(log_ns: int, channel: int, content: Mapping[str, Any]) -> _Message:
+    return _Message(log_ns, channel, encode_cdr(_TYPES[channel], content))

@@ -79,11 +79,6 @@ def is_color_encoding(encoding: str) -> bool:
     return name == "mono16" or canonical_encoding(name) in _TO_RGB
 
 
-def _color_name(encoding: str) -> str:
-    name = canonical_encoding(encoding)
-    return "mono16" if name == "16uc1" else name
-
-
 def check_size(width: int, height: int, max_pixels: int) -> None:
     """Check the size of an image before memory is allocated.
 
@@ -139,7 +134,8 @@ def decode_color(image: ImageMessage, row: np.ndarray, max_pixels: int) -> None:
     Raises:
         FrameError: The encoding or size is wrong, or the data don't fit the size.
     """
-    name = _color_name(image.encoding)
+    name = canonical_encoding(image.encoding)
+    name = "mono16" if name == "16uc1" else name
     if name not in _TO_RGB:
         raise bad_frame(f"colour encoding {image.encoding!a} is not supported")
     how = _TO_RGB[name]

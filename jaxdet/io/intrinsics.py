@@ -51,11 +51,19 @@ class CameraSource(NamedTuple):
     max_pixels: int = LogOptions.max_pixels
     known: tuple[str, ...] = ()
     """Topics in the log with calibrations."""
+    images: str = ""
+    """Topic of the images."""
+    frame: str = ""
+    """TF frame of the images; empty if unknown."""
 
     @property
     def camera(self) -> str:
         """Name of the camera in messages."""
         return {"color": "colour"}.get(self.name, self.name)
+
+    def shares_frame(self, other: "CameraSource") -> bool:
+        """Return whether the images of both cameras are in the same TF frame."""
+        return bool(self.frame) and self.frame == other.frame
 
     def error(self, problem: str, remedy: str) -> CalibrationError:
         """Return a CalibrationError about this camera."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cached_property
+from itertools import pairwise
 from operator import index as as_index
 from typing import Any, Self, overload
 
@@ -20,12 +21,11 @@ from jaxdet.io.contents import LogContents
 from jaxdet.io.description import LogDescription, complete, describe, with_bad_color
 from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
-from jaxdet.io.notes import Notes, total
 from jaxdet.io.options import LogOptions
 from jaxdet.io.part import find_part
 from jaxdet.io.reading import Failures, ImageReader
 from jaxdet.io.store import ChunkStore
-from jaxdet.io.timeline import Window
+from jaxdet.io.timeline import Notes, Window, total
 from jaxdet.notebook import table
 from jaxdet.types import Frames
 
@@ -102,13 +102,12 @@ class Log:
         options: LogOptions,
     ) -> None:
         self.name = files.name
-        self.calibration = found.calibrated.calibration
+        about, frames = found.calibrated, found.frames
+        self.calibration = about.calibration
         self.T_base_camera, self.base_frame = found.base.T_base_camera, found.base.frame
-        about = found.calibrated
         self.camera_frame, self.color_frame = about.camera_frame, about.color_frame
         self.has_color, self.has_color_camera = about.has_color, about.has_color_camera
         self.color_problem = about.color_problem
-        frames = found.frames
         self.world_frame, self.has_poses = frames.source.world_frame, frames.source.known
         self.num_frames = frames.num_frames
         self._tolerance_s, self._path = options.pair_tolerance_s, str(files.paths[0])
@@ -117,12 +116,10 @@ class Log:
         several = len(found.cameras.names) > 1
         self.label = f"{self.name}, {self.camera}" if several else self.name
         part = options.start, options.stop, options.every
-        self.frames = range(self.num_frames)
         begin_ns, before = first_stamp(frames.num_frames, frames.stamp_ns, frames.log_ns)
         if part != (None, None, 1):
             frames.check_clocks()
-            count, stamp_ns = frames.num_frames, frames.stamp_ns
-            self.frames = find_part(begin_ns, count, stamp_ns, *part, self._path)
+        self.frames = find_part(begin_ns, self.num_frames, frames.stamp_ns, *part, self._path)
         if before and frames.stamp_ns(0):
             text = unset_clock_text(found.choice.depth, before, frames.stamp_ns(0))
             found = found._replace(warnings=(*found.warnings, text))
@@ -250,8 +247,8 @@ class Log:
     def described(self, notes: Notes) -> LogDescription:
         """Return the description with the observations from reading all frames.
 
-        Args:
-            notes: Sum over batches that contain each frame once, see :func:`jaxdet.io.notes.total`.
+        The notes are the sum (:func:`jaxdet.io.timeline.total`) over batches that contain each
+        frame once.
         """
         about = self.description
         if about.pairing is None:
@@ -339,12 +336,7 @@ class Log:
         return self._batch(indices, len(indices), _which_color(color), need_color)
 
     def without_images(self, indices: Sequence[int], status: FrameStatus, error: str) -> Batch:
-        """Return frames with timestamps and poses, without reading an image.
-
-        Args:
-            indices: Frame numbers.
-            status: Status of each frame.
-            error: Explanation of the status.
+        """Return frames with timestamps, poses and the same status, without reading an image.
 
         Raises:
             RescanError: The log contradicts its index.
@@ -452,9 +444,7 @@ class Log:
 
 def _which_color(color: WhichColor) -> WhichColor:
     """Return ``color`` if it is a bool or a collection of frame numbers, else raise InputError."""
-    if isinstance(color, Container) and not isinstance(color, str | bytes):
-        return color
-    if isinstance(color, bool):
+    if isinstance(color, bool | Container) and not isinstance(color, str | bytes):
         return color
     problem = f"expected a bool or a collection of frame numbers, got {type(color).__name__}"
     raise InputError(problem, topic="color", remedy="pass True, False or a set of numbers")
@@ -462,17 +452,11 @@ def _which_color(color: WhichColor) -> WhichColor:
 
 def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:
     """Yield ranges of at most ``most`` consecutive numbers as (index of the first, first, stop)."""
-    row = 0
-    while row < len(indices):
-        count = 1
-        while (
-            count < most
-            and row + count < len(indices)
-            and indices[row + count] == indices[row] + count
-        ):
-            count += 1
-        yield row, indices[row], indices[row] + count
-        row += count
+    ends = [*(np.flatnonzero(np.diff(indices) != 1) + 1).tolist(), len(indices)]
+    for begin, end in pairwise([0, *ends]):
+        for row in range(begin, end, most):
+            count = min(most, end - row)
+            yield row, indices[row], indices[row] + count
 
 
 def _colors_of(window: Window) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Pose of the camera on the robot and in the world."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +16,6 @@ from jaxdet.io.transforms import TransformTree
 
 _BASES = ("base_footprint", "base_link")
 _WORLDS = ("map", "odom")
-_ENOUGH = 0.5
-"""Fraction of known poses above which a world frame is used without trying the next one."""
 
 
 class Base(NamedTuple):
@@ -115,19 +113,15 @@ def pose_sources(
     camera_frame: str,
     base_frame: str | None,
 ) -> list[PoseSource]:
-    """Return the possible sources of the camera's poses by priority; the last one needs no check.
+    """Return the possible sources of the camera's poses by priority; there is at least one.
+
+    The first source with at least half of the poses should be used, else the one with most of them;
+    if none of the others has poses, the last source.
 
     In order of priority: the topic of ``--log.odom``, moving transforms up to a world frame (the
     frame of ``--log.world-frame``, else map or odom), the robot's only Odometry or PoseInFrame
     topic. A pose topic contains poses of the robot's base; if no static transforms connect it to
     the camera, there are no poses but a warning.
-
-    Args:
-        contents: Contents of the log.
-        options: Options of the user.
-        depth_topic: Topic of the camera's depth images.
-        camera_frame: TF frame of the camera.
-        base_frame: TF frame of the robot.
 
     Raises:
         TopicError: ``--log.odom`` is not a topic with poses.
@@ -155,32 +149,6 @@ def pose_sources(
         text = f"several topics have poses ({listed(topics)}); choose one with --log.odom"
         last = PoseSource("poses: none chosen", (text,))
     return [*(source for source in sources if source.world != base_frame), last]
-
-
-def best_source(
-    sources: Sequence[PoseSource],
-    share_known: Callable[[PoseSource], float],
-    on_clock: Callable[[PoseSource], PoseSource],
-) -> PoseSource:
-    """Return the first source with at least half of the poses, else the one with most of them.
-
-    If none of the others has poses, the last source is used.
-
-    Args:
-        sources: Sources from :func:`pose_sources`.
-        share_known: Function that returns the fraction of frames for which a source has the pose.
-        on_clock: Function that adds the clock offset of a source.
-    """
-    best, most = None, 0.0
-    for source in sources[:-1]:
-        source = on_clock(source)
-        share = share_known(source)
-        if share > most:
-            more = f", which has more poses than {printable(best.world)!r}" if best else ""
-            best, most = source._replace(text=source.text + more), share
-        if most >= _ENOUGH:
-            break
-    return best or on_clock(sources[-1])
 
 
 def _given_track(
@@ -219,16 +187,12 @@ def _from_track(
 
 def _robot_poses(contents: LogContents, depth_topic: str) -> list[str]:
     """Return the pose topics of the robot that carries a camera."""
-    topics = [name for name in sorted(contents.poses) if _is_robot_pose(contents, name)]
+    schemas = {name: contents.topics[name].channel.schema_name for name in sorted(contents.poses)}
+    topics = [name for name in schemas if schemas[name].endswith(("Odometry", "PoseInFrame"))]
     spaces = {name: namespace_of(name) for name in topics}
     found = namespaces_of_camera(spaces.values(), depth_topic, contents.streams)
     wanted = found.own[:1] if found.has_robot else (*found.own, *found.others)
     return [name for name in topics if spaces[name] in wanted]
-
-
-def _is_robot_pose(contents: LogContents, topic: str) -> bool:
-    schema = contents.topics[topic].channel.schema_name
-    return schema.endswith(("Odometry", "PoseInFrame"))
 
 
 def _named(contents: LogContents, names: tuple[str, ...]) -> list[str]:

@@ -44,7 +44,10 @@ _IMAGE_WORDS = (
     | _INFRARED
 )
 """Words in topics that are not part of a camera's name."""
+_CLOUDS = "sensor_msgs/PointCloud2", "foxglove.PointCloud"
 _MAX_LISTED = 12
+NO_COLOR_TOPIC = "no topic with colour images", "set one with --log.color"
+"""Default reason for the missing colour topic, and the remedy."""
 _MANY_MORE = 1.5
 """Ratio of the numbers of depth images from which on it is reported."""
 
@@ -67,10 +70,8 @@ class Choice(NamedTuple):
     """Colour topic; empty if there is none."""
     aligned_by_name: bool
     reasons: tuple[str, ...]
-    why_no_color: str = ""
-    """Reason for the missing colour topic in one clause; empty if there is a colour topic."""
-    remedy: str = ""
-    """Remedy for the missing colour topic; empty if there is a colour topic."""
+    why_no_color: tuple[str, str] = ("", "")
+    """Reason for the missing colour topic in one clause, and the remedy; both empty otherwise."""
     infrared: bool = False
     """Whether the colour topic is the infrared image of the depth camera."""
     note: str = ""
@@ -164,7 +165,7 @@ def _choose(
     depth = depth_best[0]
     if len(color_best) > 1:
         color_best = _nearest(color_best, depth.topic)
-    why = remedy = ""
+    why = "", ""
     if contents.streams[depth.topic].kind is Kind.RGBD and not options.color:
         color_best = [Candidate(depth.topic, depth.rank, "in the same message as depth")]
     infrared = not color_best and not options.color
@@ -172,7 +173,7 @@ def _choose(
         color_best = _infrared(contents, depth.topic)
         infrared = bool(color_best)
     if len(color_best) != 1:
-        why, remedy = _why_no_color(contents, options, color_best)
+        why = _why_no_color(contents, options, color_best)
     color = color_best[0] if len(color_best) == 1 else None
     reasons = [f"depth: {printable(depth.topic)}, {depth.why}{_others(depths, depth)}"]
     if color:
@@ -180,7 +181,7 @@ def _choose(
     topic, aligned = color.topic if color else "", _says_aligned(depth.topic)
     name = camera_name(depth.topic)
     note = _more_images(contents, depth, depths)
-    return Choice(name, depth.topic, topic, aligned, tuple(reasons), why, remedy, infrared, note)
+    return Choice(name, depth.topic, topic, aligned, tuple(reasons), why, infrared, note)
 
 
 def _more_images(contents: LogContents, chosen: Candidate, depths: Sequence[Candidate]) -> str:
@@ -197,18 +198,15 @@ def _why_no_color(
     contents: LogContents, options: LogOptions, several: Sequence[Candidate]
 ) -> tuple[str, str]:
     """Return why a camera has no colour topic, and the remedy."""
-    remedy = "set one with --log.color"
     if options.color == NO_COLOR:
         return "--log.color none", "omit --log.color none"
     if several:
         names = listed([item.topic for item in several])
         return f"several topics may be colour ({names})", "choose one with --log.color"
     if unread := [*_unread(contents), *_videos(contents)]:
-        return (
-            f"unsupported: {listed(unread)}",
-            "record colour in an encoding listed by jaxdet help logs",
-        )
-    return "no topic with colour images", remedy
+        remedy = "record colour in an encoding listed by jaxdet help logs"
+        return f"unsupported: {listed(unread)}", remedy
+    return NO_COLOR_TOPIC
 
 
 def _videos(contents: LogContents) -> list[str]:
@@ -383,16 +381,13 @@ def _missing(contents: LogContents) -> TopicError:
     if unread := _unread(contents):
         known = f"unsupported encodings: {listed(unread)}; {known}"
     remedy = "record depth in an encoding listed by jaxdet help logs, or pass --log.depth TOPIC"
-    clouds = [name for name, info in topics if _is_cloud(info.channel.schema_name)]
+    types = {name: plain_schema_name(info.channel.schema_name) for name, info in topics}
+    clouds = [name for name, kind in types.items() if kind in _CLOUDS]
     if clouds:
         known = f"PointCloud2 ({listed(clouds)}) is not supported; {known}"
         remedy = "record the depth images from which the clouds were computed"
     remedy = remedy if names else "copy or record the log again"
     return TopicError(f"no topic with depth images; {known}", path=contents.path, remedy=remedy)
-
-
-def _is_cloud(schema_name: str) -> bool:
-    return plain_schema_name(schema_name) in ("sensor_msgs/PointCloud2", "foxglove.PointCloud")
 
 
 def _unread(contents: LogContents) -> list[str]:

@@ -33,9 +33,7 @@ class TransformTree:
 
     A static transform takes precedence over moving transforms of the same frame. Contradictory
     transforms, and those that are not rigid motions, are ignored and reported in ``warnings``.
-
-    Args:
-        path: Path of the log, for errors.
+    Errors name the ``path`` of the log.
 
     Attributes:
         ignored: Number of invalid transforms by frame.
@@ -169,11 +167,10 @@ class TransformTree:
         Raises:
             TransformError: The transforms form a cycle.
         """
-        paths = self._paths(target, source)
-        if paths is None:
+        if self.moving(target, source):
             return None
-        up, down = (self._fixed_product(path) for path in paths)
-        return None if up is None or down is None else matmul(inverse(up), down)
+        T = self.at(target, source, np.zeros(1, np.int64))
+        return None if T is None else T[0]
 
     def at(self, target: str, source: str, stamps_ns: np.ndarray) -> np.ndarray | None:
         """Return ``T_target_source`` at given times, ``(F, 4, 4)``, NaN if unknown.
@@ -290,15 +287,6 @@ class TransformTree:
             above_target[: above_target.index(common)],
             above_source[: above_source.index(common)],
         )
-
-    def _fixed_product(self, path: Sequence[str]) -> np.ndarray | None:
-        T = np.eye(4)
-        for frame in path:
-            fixed = self._edges[frame].fixed
-            if fixed is None:
-                return None
-            T = matmul(fixed, T)
-        return T
 
     def _product_at(self, path: Sequence[str], stamps_ns: np.ndarray) -> np.ndarray:
         T = np.broadcast_to(np.eye(4), (len(stamps_ns), 4, 4))

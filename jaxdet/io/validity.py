@@ -51,13 +51,11 @@ def other_calibration(
 
     Args:
         stamps_ns: Timestamps of the frames, ``(F,)`` int64 [ns].
-        changes: Changes on the camera's topic, in file order.
+        changes: Changes on the camera's topic, in file order; at least one.
         used: Calibration in use.
         by_log_time: Whether the timestamps of the frames are log times.
     """
     known = sorted(changes, key=lambda item: item.log_ns if by_log_time else item.stamp_ns)
-    if not known:
-        return np.zeros(len(stamps_ns), bool)
     begin = np.array([item.log_ns if by_log_time else item.stamp_ns for item in known], np.int64)
     other = np.array([item.values != values_of(used) for item in known])
     return other[np.maximum(np.searchsorted(begin, stamps_ns, "right") - 1, 0)]
@@ -74,8 +72,8 @@ class CalibrationWindows:
         used: Calibration in use by topic.
         store: Chunks of the log.
         path: Path of the log, for errors.
-        changes: Changes of each calibration of depth, with the calibration in use, if all messages
-            were read; otherwise None.
+        of_depth: Topic with the calibration of depth; empty if there is none.
+        changes: Changes on that topic, if all messages were read; otherwise None.
         by_log_time: Whether the timestamps of the frames are log times.
     """
 
@@ -85,11 +83,12 @@ class CalibrationWindows:
         used: Mapping[str, CameraInfoMessage],
         store: ChunkStore,
         path: str,
-        changes: Sequence[tuple[Sequence[CalibrationChange], CameraInfoMessage]] | None = None,
+        of_depth: str,
+        changes: Sequence[CalibrationChange] | None,
         *,
-        by_log_time: bool = False,
+        by_log_time: bool,
     ) -> None:
-        self._changes, self._by_log_time = changes, by_log_time
+        self._of_depth, self._changes, self._by_log_time = of_depth, changes, by_log_time
         self._topics, self._used = tuple(topics), dict(used)
         self._store, self._path = store, path
         self._good: set[tuple[str, bytes]] = set()
@@ -97,11 +96,10 @@ class CalibrationWindows:
 
     def other(self, stamps_ns: np.ndarray) -> np.ndarray | None:
         """Return which frames have another calibration; None if the changes are unknown."""
-        found = None
-        for changes, used in self._changes or ():
-            other = other_calibration(stamps_ns, changes, used, self._by_log_time)
-            found = other if found is None else found | other
-        return found
+        if not self._changes:
+            return None
+        used = self._used[self._of_depth]
+        return other_calibration(stamps_ns, self._changes, used, self._by_log_time)
 
     def check(self, begin: int | None, end: int | None) -> set[Place]:
         """Compare the calibrations in a range of log times with those in use.

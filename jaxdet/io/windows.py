@@ -28,11 +28,10 @@ from jaxdet.io.contents import image_stamps
 from jaxdet.io.file_index import Place
 from jaxdet.io.messages import Kind
 from jaxdet.io.motion_windows import MotionWindows
-from jaxdet.io.notes import Notes, StreamNotes
 from jaxdet.io.poses import PoseSource
 from jaxdet.io.records import TopicMessages, read_message, rows_in_file_order
 from jaxdet.io.store import BEGIN_BYTES, ChunkStore
-from jaxdet.io.timeline import FrameTable, Window, apart, nearest
+from jaxdet.io.timeline import FrameTable, Notes, StreamNotes, Window, apart, nearest
 from jaxdet.io.validity import CalibrationWindows
 
 REACH = 4

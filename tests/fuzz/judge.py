@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from jaxdet.errors import FrameStatus, RescanError
 from jaxdet.io import Log, LogFrame, LogOptions, open_log
-from jaxdet.io.notes import total
+from jaxdet.io.timeline import total
 from jaxdet.types import Calibration
 from tests.fuzz.case import Verdict, ended
 from tests.fuzz.formats import FORMATS, FRAMES

@@ -1,9 +1,8 @@
-"""Folders of colour and depth images: layouts, and the messages made of their contents.
+"""Folders of colour and depth images.
 
 ::
 
     layouts                         list of all layouts; recognizes folders and reads them
-      basic, datasets, phones         one function per layout, folder -> recording
-        text, recording                 text files; the form that all layouts are read into
-    messages                        recording -> messages
+      basic, phones                   one function per layout, folder -> recording
+        recording                       the form that all layouts are read into; text files
 """

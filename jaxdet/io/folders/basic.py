@@ -24,8 +24,19 @@ from typing import Any
 import numpy as np
 
 from jaxdet.errors import InputError
-from jaxdet.io.folders.recording import COLOR, DEPTH, Cameras, Image, ImageFiles, Pose, Recording
-from jaxdet.io.folders.text import SECOND, nanoseconds, read_matrix, read_table
+from jaxdet.io.folders.recording import (
+    COLOR,
+    DEPTH,
+    SECOND,
+    Cameras,
+    Image,
+    ImageFiles,
+    Pose,
+    Recording,
+    nanoseconds,
+    read_matrix,
+    read_table,
+)
 from jaxdet.types import Intrinsics, is_rigid
 
 RATE_HZ = 30
@@ -71,13 +82,7 @@ def read(
     depth: ImageFiles = DEPTH,
     cameras: Callable[[Path, Sequence[Image], Sequence[Image]], Cameras] = read_cameras,
 ) -> Recording:
-    """Read a folder.
-
-    Args:
-        folder: Folder of the recording.
-        color: Files of colour images.
-        depth: Files of depth images.
-        cameras: Function that reads the calibration of a folder with these images.
+    """Read a folder; ``cameras`` reads its calibration from the folder and its images.
 
     Raises:
         InputError: A file, or the name of an image, is not as expected.

@@ -1,15 +1,31 @@
-"""Layouts of folders of images: recognition and reading.
+"""Layouts of folders of images, including those of data sets that differ little from the basic one.
 
 A new layout is a function that reads a folder with this layout as a
 :class:`~jaxdet.io.folders.recording.Recording`, and an item of :data:`LAYOUTS`.
+
+Sources: the web page of 7-Scenes; ScanNet's ``SensReader``; SUN3D's ``SUN3Dsfm``.
 """
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxdet.io.folders import basic, datasets, phones
-from jaxdet.io.folders.recording import COLOR, DEPTH, ImageFiles, Recording
+from jaxdet.io.folders import basic, phones
+from jaxdet.io.folders.recording import (
+    COLOR,
+    DEPTH,
+    Cameras,
+    Image,
+    ImageFiles,
+    Recording,
+    image_size,
+    read_matrix,
+)
+from jaxdet.types import Intrinsics
+
+_FLAT_COLOR = ImageFiles((), (".color.png", ".color.jpg", ".color.jpeg"))
+_FLAT_DEPTH = ImageFiles((), (".depth.png",))
+_SUN3D_MATRIX = "intrinsics.txt"
 
 
 class Layout(NamedTuple):
@@ -28,12 +44,53 @@ class Layout(NamedTuple):
     """Name of a file that identifies recordings without colour images."""
 
 
+def _read_7_scenes(folder: Path) -> Recording | None:
+    """Read a folder that itself has the images, ``frame-000000.color.png`` and ``.depth.png``."""
+    if not _FLAT_DEPTH.paths(folder):
+        return None
+    return basic.read(folder, _FLAT_COLOR, _FLAT_DEPTH)
+
+
+def _read_scannet(folder: Path) -> Recording | None:
+    """Read a folder with the camera matrices (4, 4) of both images in ``intrinsic``."""
+    if not (folder / "intrinsic").is_dir():
+        return None
+    return basic.read(folder, cameras=_scannet_cameras)
+
+
+def _scannet_cameras(folder: Path, color: Sequence[Image], depth: Sequence[Image]) -> Cameras:
+    matrices = folder / "intrinsic"
+    return Cameras(
+        _camera(matrices / "intrinsic_color.txt", 4, color),
+        _camera(matrices / "intrinsic_depth.txt", 4, depth),
+    )
+
+
+def _read_sun3d(folder: Path) -> Recording | None:
+    """Read a folder with the camera matrix (3, 3) in ``intrinsics.txt``, and rotated depth."""
+    if not (folder / _SUN3D_MATRIX).is_file():
+        return None
+    return basic.read(folder, cameras=_sun3d_cameras)._replace(is_rotated=True)
+
+
+def _sun3d_cameras(folder: Path, color: Sequence[Image], _: Sequence[Image]) -> Cameras:
+    return Cameras(_camera(folder / _SUN3D_MATRIX, 3, color))
+
+
+def _camera(path: Path, rows: int, images: Sequence[Image]) -> Intrinsics | None:
+    """Return the camera of images from a file with its matrix; None if one of them is missing."""
+    if not path.is_file() or not (size := image_size(images)):
+        return None
+    K = read_matrix(path, rows)
+    return Intrinsics(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+
+
 LAYOUTS = (
     Layout("Stray Scanner", phones.read_stray_scanner, without_color=phones.ODOMETRY),
     Layout("Record3D", phones.read_record3d),
-    Layout("7-Scenes", datasets.read_7_scenes, datasets.FLAT_COLOR, datasets.FLAT_DEPTH),
-    Layout("SUN3D, SUN RGB-D", datasets.read_sun3d),
-    Layout("ScanNet", datasets.read_scannet),
+    Layout("7-Scenes", _read_7_scenes, _FLAT_COLOR, _FLAT_DEPTH),
+    Layout("SUN3D, SUN RGB-D", _read_sun3d),
+    Layout("ScanNet", _read_scannet),
     Layout("TUM, Open3D, Redwood", basic.read),
 )
 """All layouts; the first one that can read a folder is used."""

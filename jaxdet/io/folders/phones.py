@@ -26,14 +26,15 @@ from jaxdet.errors import InputError
 from jaxdet.io.folders.recording import (
     COLOR,
     DEPTH,
+    SECOND,
     Cameras,
     Image,
     ImageFiles,
     Pose,
     Recording,
     image_size,
+    read_text,
 )
-from jaxdet.io.folders.text import SECOND, read_text
 from jaxdet.io.message_fields import MAX_ROS2_STAMP_S
 from jaxdet.io.motion import motion_matrix
 from jaxdet.types import Intrinsics
