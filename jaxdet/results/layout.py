@@ -15,7 +15,7 @@
         lock
         aside-1a2b/drive_1/ moved aside while RESULTS/drive_1 is replaced
 
-Readers find a log's folder there too, see :mod:`jaxdet.results.publish`.
+Readers find a log's folder there too, see :mod:`jaxdet.results.durable`.
 """
 
 import json
