@@ -11,11 +11,12 @@ import pytest
 
 from jaxdet.errors import OutputError
 from jaxdet.results import writer
+from jaxdet.results.json_files import write_json
 from jaxdet.results.lists import Lists
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import problems
 from jaxdet.results.tables import Tables
-from jaxdet.results.writer import TableWriter, write_json
+from jaxdet.results.writer import TableWriter
 from tests.conftest import ROOT
 
 

@@ -31,7 +31,7 @@ def main(args: list[str]) -> int:
     command = parse_flags(DoctorCommand, args, "jaxdet doctor", DESCRIPTION)
     with SPINNER.shown("comparing; the first run compiles the kernels"):
         from jaxdet.engine import start_up
-        from jaxdet.results.summary import to_json
+        from jaxdet.results.json_files import to_json
         from jaxdet.results.versions import versions
 
         start_up()

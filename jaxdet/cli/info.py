@@ -73,7 +73,7 @@ def main(args: list[str]) -> int:
     command = parse_flags(InfoCommand, args, "jaxdet info", DESCRIPTION, COMMON, start)
     from jaxdet.engine.startup import use_warp_cache
     from jaxdet.io import find_logs
-    from jaxdet.results.summary import plain, to_json
+    from jaxdet.results.json_files import plain, to_json
 
     use_warp_cache()
     failed, found = 0, []
@@ -146,7 +146,7 @@ def describe(
     """
     from jaxdet.engine.floors import decide_planes
     from jaxdet.io import open_log
-    from jaxdet.results.summary import plain
+    from jaxdet.results.json_files import plain
 
     with open_log(files, options) as log:
         planes = decide_planes(log, config, "jax")

@@ -165,7 +165,7 @@ def _run(command: RunCommand) -> int:
     from jaxdet.cli.progress import reporting
     from jaxdet.engine import Runner
     from jaxdet.io import find_logs
-    from jaxdet.results.summary import to_json
+    from jaxdet.results.json_files import to_json
 
     logs = find_logs(command.logs, join=command.join)
     observers = {}
@@ -200,7 +200,7 @@ def _run(command: RunCommand) -> int:
 
 def _run_on_machines(command: RunCommand) -> int:
     """Process the logs with :mod:`jaxdet.fleet`: from buckets, on a cluster, or a share of them."""
-    from jaxdet.results.summary import plain
+    from jaxdet.results.json_files import plain
 
     if command.truth:
         remedy = "run without --on, --share and bucket addresses"

@@ -16,10 +16,17 @@ from jaxdet.config import Config
 from jaxdet.config_changes import changed
 from jaxdet.errors import InputError, JaxdetError, printable
 from jaxdet.io.options import LogOptions
-from jaxdet.results import shapes
 from jaxdet.results.arrow import open_file
-from jaxdet.results.layout import (
+from jaxdet.results.json_files import (
     AGAIN,
+    SUMMARY_SHAPE,
+    check_shape,
+    entries_of,
+    leads_out,
+    read_json,
+    unread,
+)
+from jaxdet.results.layout import (
     CONFIG,
     FAILED,
     FRAMES,
@@ -30,13 +37,9 @@ from jaxdet.results.layout import (
     SUMMARY,
     TRACKS,
     check_folder,
-    entries_of,
     is_complete,
     is_run,
-    leads_out,
     log_folders,
-    read_json,
-    unread,
 )
 from jaxdet.results.manifest import read_manifest
 from jaxdet.results.metadata import FORMAT, FORMAT_KEY
@@ -44,7 +47,6 @@ from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MapImage, load_map
 from jaxdet.results.record import digest
 from jaxdet.results.schemas import FRAMES_SCHEMA, LINKS_SCHEMA, OBSTACLES_SCHEMA, TRACKS_SCHEMA
-from jaxdet.results.shapes import check_shape
 from jaxdet.results.tables import Frame, Tables
 from jaxdet.results.tracked import TracksInFrames
 
@@ -220,7 +222,7 @@ class Results:
             raise InputError(problem, path=str(folder), remedy="read them again")
         self.manifests[folder], self.summaries[folder] = manifest, summary
         entries = entries_of(summary, folder / SUMMARY)
-        check_shape(summary, shapes.SUMMARY, folder / SUMMARY)
+        check_shape(summary, SUMMARY_SHAPE, folder / SUMMARY)
         frame = obstacle = 0
         for entry in entries:
             name, camera = entry["log"], entry["camera"]

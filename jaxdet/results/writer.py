@@ -20,7 +20,6 @@ from jaxdet.results.durable import writing
 from jaxdet.results.layout import FRAMES, OBSTACLES
 from jaxdet.results.metadata import Inputs, table_metadata
 from jaxdet.results.schemas import DICTIONARIES, FRAMES_SCHEMA, OBSTACLES_SCHEMA
-from jaxdet.results.summary import to_json
 from jaxdet.results.tables import Tables
 
 ROWS_PER_GROUP = 65536
@@ -128,13 +127,3 @@ class TableWriter:
         metadata = table_metadata(config, summary, self._inputs)
         with writing(self.folder), ThreadPoolExecutor(2) as threads:  # Arrow compresses on one
             deque(threads.map(lambda table: table.close(metadata), self._tables), 0)
-
-
-def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Write a mapping as JSON.
-
-    Raises:
-        OutputError: The disk is full, or the folder can't be written to.
-    """
-    with writing(path):
-        path.write_text(to_json(value), encoding="utf-8")
