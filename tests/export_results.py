@@ -9,9 +9,9 @@ from jaxdet.io import LogOptions
 from jaxdet.presets import preset
 from jaxdet.results.free_floor import RAY_RAD
 from jaxdet.results.json_files import write_json
-from jaxdet.results.lists import Lists
 from jaxdet.results.manifest import write_manifest
 from jaxdet.results.occupancy import MapImage, save_map
+from jaxdet.results.rows import Lists
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.tables import Tables
 from jaxdet.results.writer import TableWriter

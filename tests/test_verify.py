@@ -18,7 +18,7 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.results.manifest import write_manifest
-from jaxdet.results.metadata import INPUTS_KEY, Inputs, table_metadata
+from jaxdet.results.writer import INPUTS_KEY, Inputs, table_metadata
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import TrackConfig, track_results
 from jaxdet.verify import Report, verify

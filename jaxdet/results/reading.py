@@ -16,7 +16,6 @@ from jaxdet.config import Config
 from jaxdet.config_changes import changed
 from jaxdet.errors import InputError, JaxdetError, printable
 from jaxdet.io.options import LogOptions
-from jaxdet.results.arrow import open_file
 from jaxdet.results.json_files import (
     AGAIN,
     SUMMARY_SHAPE,
@@ -42,13 +41,12 @@ from jaxdet.results.layout import (
     log_folders,
 )
 from jaxdet.results.manifest import read_manifest
-from jaxdet.results.metadata import FORMAT, FORMAT_KEY
 from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MapImage, load_map
 from jaxdet.results.record import digest
 from jaxdet.results.schemas import FRAMES_SCHEMA, LINKS_SCHEMA, OBSTACLES_SCHEMA, TRACKS_SCHEMA
-from jaxdet.results.tables import Frame, Tables
-from jaxdet.results.tracked import TracksInFrames
+from jaxdet.results.tables import Frame, Tables, TracksInFrames, open_file
+from jaxdet.results.writer import FORMAT, FORMAT_KEY
 
 CHUNK_FRAMES = 1024
 """Number of frames read together, by default."""
@@ -261,7 +259,7 @@ class Results:
         )
 
     def metadata(self, log: ResultLog, table: str = OBSTACLES) -> dict[str, str]:
-        """Return the metadata of a table of a log, see :mod:`jaxdet.results.metadata`."""
+        """Return the metadata of a table of a log, see :mod:`jaxdet.results.writer`."""
         with self._table(log, table) as file:
             return _metadata(file)
 

@@ -20,7 +20,6 @@ import pyarrow.parquet as pq
 
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.render import draw_map, write_png
-from jaxdet.results.arrow import open_file, vectors
 from jaxdet.results.durable import finish, flush_folder, link_folder, publish, remove, writing
 from jaxdet.results.layout import LINKS, MANIFEST, TRACKS, WORKING, check_folder, is_complete
 from jaxdet.results.lock import Lock
@@ -29,7 +28,7 @@ from jaxdet.results.map_file import Grid, read_map, write_map
 from jaxdet.results.occupancy import MapImage, OccupancyMap
 from jaxdet.results.reading import ResultLog, Results
 from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
-from jaxdet.results.tables import Tables
+from jaxdet.results.tables import Tables, open_file, vectors
 from jaxdet.results.writer import parquet_writer
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.observations import observations_of
