@@ -51,7 +51,13 @@ class Counts:
     back, ``compute``, ``write`` rows, and to ``wait`` for the process that computes [s]."""
 
     def count(self, rows: Mapping[str, Any], obstacles: Mapping[str, Any]) -> None:
-        """Count the columns of ``frames.parquet`` and of ``obstacles.parquet`` of some frames."""
+        """Add the counts of some frames with all their obstacles.
+
+        Args:
+            rows: Columns of ``frames.parquet`` as NumPy arrays; Arrow would import pandas to
+                convert a table to them.
+            obstacles: Columns of ``obstacles.parquet``.
+        """
         self.frames += len(rows["status"])
         self.status.update(rows["status"].tolist())
         self.obstacles += int(rows["num_obstacles"].sum())
