@@ -9,8 +9,7 @@ import numpy as np
 
 import jaxdet
 from jaxdet.cli.flags import parse_flags
-from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import tell
+from jaxdet.cli.terminal import SPINNER, tell
 
 DESCRIPTION = """\
 Checks this installation: versions, the devices of JAX and Warp, and whether the compiled

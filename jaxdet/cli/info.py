@@ -5,11 +5,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxdet.cli.flags import parse_flags
+from jaxdet.cli.flags import parse_flags, read_defaults
 from jaxdet.cli.report import ground_text, many
-from jaxdet.cli.settings import defaults
-from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import tell
+from jaxdet.cli.terminal import SPINNER, tell
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import CamerasError, ConfigError, JaxdetError, printable
 from jaxdet.io.options import LogOptions
@@ -68,7 +66,7 @@ class InfoCommand:
 
 def main(args: list[str]) -> int:
     """Run the command; return the exit code."""
-    config, log_options, name = defaults(args)
+    config, log_options, name = read_defaults(args)
     start = {"preset": name, "ground": config.ground, "log": log_options}
     command = parse_flags(InfoCommand, args, "jaxdet info", DESCRIPTION, COMMON, start)
     from jaxdet.engine.startup import use_warp_cache
