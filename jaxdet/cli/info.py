@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxdet.cli.flags import parse_flags, read_defaults
-from jaxdet.cli.report import ground_text, many
+from jaxdet.cli.report import aligned, ground_text, many
 from jaxdet.cli.terminal import SPINNER, tell
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import CamerasError, ConfigError, JaxdetError, printable
@@ -187,10 +187,6 @@ def _lines(label: str, about: "LogDescription", planes: "Planes", color: str) ->
     yield from _section("notes", about.notes)
 
 
-def _topic_lines(topics: Sequence["TopicDescription"]) -> list[str]:
-    return list(_section("topics", _topics(topics)))
-
-
 def _section(name: str, lines: Sequence[str]) -> Iterator[str]:
     shown = [line for line in lines if line]
     if shown:
@@ -198,7 +194,7 @@ def _section(name: str, lines: Sequence[str]) -> Iterator[str]:
         yield from (f"  {line}" for line in shown)
 
 
-def _topics(topics: Sequence["TopicDescription"]) -> list[str]:
+def _topic_lines(topics: Sequence["TopicDescription"]) -> list[str]:
     rows = [
         (
             topic.topic,
@@ -210,12 +206,4 @@ def _topics(topics: Sequence["TopicDescription"]) -> list[str]:
         )
         for topic in topics
     ]
-    widths = [max(len(row[i]) for row in rows) for i in range(6)] if rows else []
-    right = (False, False, False, True, True, False)
-    return [
-        "  ".join(
-            text.rjust(width) if to_right else text.ljust(width)
-            for text, width, to_right in zip(row, widths, right, strict=True)
-        ).rstrip()
-        for row in rows
-    ]
+    return list(_section("topics", aligned(rows, right=(3, 4))))
