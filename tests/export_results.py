@@ -8,12 +8,13 @@ import numpy as np
 from jaxdet.io import LogOptions
 from jaxdet.presets import preset
 from jaxdet.results.free_floor import RAY_RAD
-from jaxdet.results.lists import Lists
+from jaxdet.results.json_files import write_json
 from jaxdet.results.manifest import write_manifest
 from jaxdet.results.occupancy import MapImage, save_map
+from jaxdet.results.rows import Lists
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.tables import Tables
-from jaxdet.results.writer import TableWriter, write_json
+from jaxdet.results.writer import TableWriter
 from jaxdet.sim import SimConfig, write_log
 from tests.runs import run_log
 

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from jaxdet.results import publish
+from jaxdet.results import durable
 
 os.fsync = lambda descriptor: None
 CALLS = ("replace", "rename", "fsync", "mkdir", "unlink", "rmdir")
@@ -36,7 +36,7 @@ def killed_at(call: int, function: Callable[[], Any]) -> bool:
 
         for name in CALLS:
             setattr(os, name, counted(getattr(os, name)))
-        publish.exchange = counted(publish.exchange)  # a system call, too
+        durable.exchange = counted(durable.exchange)  # a system call, too
         try:
             function()
         except BaseException:

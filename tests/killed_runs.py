@@ -15,7 +15,7 @@ from typing import Any
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import device, unit
 from jaxdet.engine.output import OutputFolder
-from jaxdet.results import publish
+from jaxdet.results import durable
 from jaxdet.results.durable import sha256
 from jaxdet.results.layout import RUN, is_complete, is_run, log_folders
 from jaxdet.results.manifest import read_manifest
@@ -82,10 +82,10 @@ def main(folder: Path, commands: Sequence[str]) -> None:
     for seed, name in enumerate("ab"):
         write_log(logs / f"{name}.mcap", SimConfig(frames=4, width=96, height=72, seed=seed))
     run(logs, folder / "old")
-    exchange = publish.exchange
+    exchange = durable.exchange
     for command in commands:
         name, _, every = command.partition(":")
-        publish.exchange = (lambda one, other: False) if name.endswith("-slow") else exchange
+        durable.exchange = (lambda one, other: False) if name.endswith("-slow") else exchange
         (own := folder / command).mkdir()
         kills = end_at_each_call(logs, folder / "old", own, name, int(every))
         print(f"{command}: killed {kills} times")

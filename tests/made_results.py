@@ -11,13 +11,14 @@ from jaxdet.config import Config
 from jaxdet.engine.process_log import write_failure
 from jaxdet.errors import printable
 from jaxdet.io import LogOptions
+from jaxdet.results.json_files import write_json
 from jaxdet.results.manifest import write_manifest
 from jaxdet.results.names import log_name
 from jaxdet.results.record import digest, make_record
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.tables import Tables
-from jaxdet.results.writer import TableWriter, write_json
+from jaxdet.results.writer import TableWriter
 from jaxdet.types import Calibration, Intrinsics
 
 LOST = ("no_color", "decode_error")

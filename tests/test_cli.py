@@ -16,11 +16,11 @@ from pathlib import Path
 import pytest
 
 from jaxdet.cli import main
+from jaxdet.cli.flags import read_defaults
 from jaxdet.cli.help import pages
 from jaxdet.cli.progress import reporting
 from jaxdet.cli.run import RunCommand, first_time, parse
-from jaxdet.cli.settings import defaults
-from jaxdet.cli.tell import on_terminal
+from jaxdet.cli.terminal import on_terminal
 from jaxdet.config import Config
 from jaxdet.engine import RunOptions
 from jaxdet.engine.startup import Caches
@@ -527,7 +527,7 @@ def test_errors_in_configuration_files_name_file_and_key(
     for encoding in ("utf-8", "utf-8-sig"):  # editors on Windows write the second
         file.write_text(text, encoding)
         with pytest.raises(ConfigError, match=message):
-            defaults(["--config", str(file)])
+            read_defaults(["--config", str(file)])
 
 
 def test_run_prints_json_only_with_the_flag(sim_log: Path, tmp_path: Path, capfd: Captured) -> None:

@@ -9,9 +9,9 @@ import pytest
 from jaxdet.cli import main
 from jaxdet.export.html.trajectories import track_rows
 from jaxdet.export.shapes import label
-from jaxdet.results.lists import Lists
 from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid, read_map, write_map
 from jaxdet.results.reading import Results
+from jaxdet.results.rows import Lists
 from jaxdet.tracks import TrackConfig, track_results
 from jaxdet.verify import verify
 from tests.export_results import by_hand

@@ -15,7 +15,7 @@ from jaxdet import engine
 from jaxdet.engine import process_log, run_one, scheduler
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, OutputError, ResultsError
 from jaxdet.io import Batch
-from jaxdet.results import publish as publishing
+from jaxdet.results import durable as publishing
 from jaxdet.results.layout import log_folders
 from jaxdet.results.names import log_name
 from jaxdet.results.reading import open_results

@@ -11,7 +11,7 @@ import pytest
 
 from jaxdet.cli.progress import _bars, _Lines, _slowest, _steps, _text, _thousands, reporting
 from jaxdet.cli.report import MANY_LOGS, ground_text, summary_lines
-from jaxdet.cli.tell import tell
+from jaxdet.cli.terminal import tell
 from jaxdet.engine import GroundRecord, Progress
 from jaxdet.results.summary import LogSummary, Summary, failure
 

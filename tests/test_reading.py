@@ -16,10 +16,10 @@ from jaxdet.errors import InputError
 from jaxdet.io import LogOptions
 from jaxdet.results import reading, writer
 from jaxdet.results.manifest import read_manifest, write_manifest
-from jaxdet.results.metadata import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
 from jaxdet.results.names import camera_name, export_name, log_name
 from jaxdet.results.reading import Results
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
+from jaxdet.results.writer import CONFIG_KEY, INPUTS_KEY, VERSION_KEY
 from jaxdet.sim import SimConfig, write_log
 from tests.made_results import make_results
 from tests.runs import run_logs

@@ -11,11 +11,12 @@ import pytest
 
 from jaxdet.errors import OutputError
 from jaxdet.results import writer
-from jaxdet.results.lists import Lists
+from jaxdet.results.json_files import write_json
+from jaxdet.results.rows import Lists
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
 from jaxdet.results.summary import problems
 from jaxdet.results.tables import Tables
-from jaxdet.results.writer import TableWriter, write_json
+from jaxdet.results.writer import TableWriter
 from tests.conftest import ROOT
 
 
@@ -134,7 +135,7 @@ def test_rows_are_written_without_pandas(tmp_path: Path) -> None:
 import sys
 from pathlib import Path
 from tests.test_results import frame_rows, obstacle_rows
-from jaxdet.results.metadata import Inputs
+from jaxdet.results.writer import Inputs
 from jaxdet.results.tables import Tables
 tables, path = Tables.of(frame_rows(0, 9), obstacle_rows(0, 9)), Path(sys.argv[1])
 tables.save(path)

@@ -8,9 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxdet.export.grid import last_grid
-from jaxdet.results.lists import Lists
 from jaxdet.results.map_file import FREE, OCCUPIED
 from jaxdet.results.reading import Results
+from jaxdet.results.rows import Lists
 from jaxdet.tracks import TrackConfig, places, track_results
 from jaxdet.tracks.folder import lasting_map
 from jaxdet.verify import verify

@@ -18,11 +18,11 @@ from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import InputError
 from jaxdet.io import LogOptions, find_logs
 from jaxdet.results.manifest import write_manifest
-from jaxdet.results.metadata import INPUTS_KEY, Inputs, table_metadata
+from jaxdet.results.writer import INPUTS_KEY, Inputs, table_metadata
 from jaxdet.sim import SimConfig, write_log
 from jaxdet.tracks import TrackConfig, track_results
 from jaxdet.verify import Report, verify
-from jaxdet.verify.files import check_files
+from jaxdet.verify.folder import check_files
 from jaxdet.verify.logs import _OF_LOG
 from tests.io_helpers import make_scene
 from tests.io_helpers import write_log as write_random

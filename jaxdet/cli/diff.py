@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxdet.cli.flags import parse_flags
-from jaxdet.cli.report import many
-from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import tell
+from jaxdet.cli.report import aligned, many
+from jaxdet.cli.terminal import SPINNER, tell
 from jaxdet.errors import ConfigError, InputError, printable
 
 if TYPE_CHECKING:
@@ -115,11 +114,7 @@ def _log_lines(log: "LogDifference") -> Iterator[str]:
     rows = [("frame", "A", "B", "only in A", "only in B", "changed")]
     shown = most_different(log)
     rows += [_row(frame) for frame in shown]
-    wide = [max(len(row[i]) for row in rows) for i in range(5)]
-    for row in rows:
-        cells = [cell.rjust(width) for cell, width in zip(row[:3], wide[:3], strict=True)]
-        cells += [cell.ljust(width) for cell, width in zip(row[3:5], wide[3:], strict=True)]
-        yield f"  {'  '.join([*cells, row[5]])}".rstrip()
+    yield from (f"  {line}" for line in aligned(rows, right=(0, 1, 2)))
     if frames > len(shown):
         yield f"  and {frames - len(shown)} more"
 

@@ -9,8 +9,7 @@ import numpy as np
 
 import jaxdet
 from jaxdet.cli.flags import parse_flags
-from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import tell
+from jaxdet.cli.terminal import SPINNER, tell
 
 DESCRIPTION = """\
 Checks this installation: versions, the devices of JAX and Warp, and whether the compiled
@@ -31,7 +30,7 @@ def main(args: list[str]) -> int:
     command = parse_flags(DoctorCommand, args, "jaxdet doctor", DESCRIPTION)
     with SPINNER.shown("comparing; the first run compiles the kernels"):
         from jaxdet.engine import start_up
-        from jaxdet.results.summary import to_json
+        from jaxdet.results.json_files import to_json
         from jaxdet.results.versions import versions
 
         start_up()

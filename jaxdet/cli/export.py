@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from jaxdet.cli.flags import parse_flags
-from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import tell
+from jaxdet.cli.terminal import SPINNER, tell
 from jaxdet.errors import ConfigError
 from jaxdet.export import FORMATS
 

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from jaxdet.angles import parse_angle
 from jaxdet.cli.fields import Option, default_of, options_of
 from jaxdet.cli.usage import takes, usage
+from jaxdet.config_file import Settings, read_settings
 from jaxdet.errors import ConfigError, meant
 
 Command = TypeVar("Command")
@@ -69,6 +70,27 @@ def parse_flags(
         names = ", ".join(f"{option.flag} {takes(option)}".strip() for option in missing)
         raise ConfigError(f"missing: {names}", remedy=see)
     return _build(kind, defaults, given)
+
+
+def read_defaults(args: Sequence[str]) -> Settings:
+    """Return the configuration of preset and file, before other flags override it.
+
+    Args:
+        args: Arguments of the command, of which only ``--preset`` and ``--config`` are read.
+
+    Raises:
+        ConfigError: The preset or a key in the file is unknown, or a value is invalid.
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("--preset")
+    parser.add_argument("--config")
+    try:
+        found = parser.parse_known_args(list(args))[0]
+    except argparse.ArgumentError as error:
+        raise ConfigError(str(error).removeprefix("argument "), remedy="see --help") from error
+    if found.config == "":
+        raise ConfigError("--config: expected a file, got ''", remedy="see --help")
+    return read_settings(Path(found.config) if found.config else None, found.preset)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxdet.cli.tell import tell
+from jaxdet.cli.terminal import tell
 from jaxdet.engine.options import RunOptions
 from jaxdet.memory import parse_size
 

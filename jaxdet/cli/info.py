@@ -5,11 +5,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxdet.cli.flags import parse_flags
-from jaxdet.cli.report import ground_text, many
-from jaxdet.cli.settings import defaults
-from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import tell
+from jaxdet.cli.flags import parse_flags, read_defaults
+from jaxdet.cli.report import aligned, ground_text, many
+from jaxdet.cli.terminal import SPINNER, tell
 from jaxdet.config import Config, GroundConfig
 from jaxdet.errors import CamerasError, ConfigError, JaxdetError, printable
 from jaxdet.io.options import LogOptions
@@ -68,12 +66,12 @@ class InfoCommand:
 
 def main(args: list[str]) -> int:
     """Run the command; return the exit code."""
-    config, log_options, name = defaults(args)
+    config, log_options, name = read_defaults(args)
     start = {"preset": name, "ground": config.ground, "log": log_options}
     command = parse_flags(InfoCommand, args, "jaxdet info", DESCRIPTION, COMMON, start)
     from jaxdet.engine.startup import use_warp_cache
     from jaxdet.io import find_logs
-    from jaxdet.results.summary import plain, to_json
+    from jaxdet.results.json_files import plain, to_json
 
     use_warp_cache()
     failed, found = 0, []
@@ -146,7 +144,7 @@ def describe(
     """
     from jaxdet.engine.floors import decide_planes
     from jaxdet.io import open_log
-    from jaxdet.results.summary import plain
+    from jaxdet.results.json_files import plain
 
     with open_log(files, options) as log:
         planes = decide_planes(log, config, "jax")
@@ -189,10 +187,6 @@ def _lines(label: str, about: "LogDescription", planes: "Planes", color: str) ->
     yield from _section("notes", about.notes)
 
 
-def _topic_lines(topics: Sequence["TopicDescription"]) -> list[str]:
-    return list(_section("topics", _topics(topics)))
-
-
 def _section(name: str, lines: Sequence[str]) -> Iterator[str]:
     shown = [line for line in lines if line]
     if shown:
@@ -200,7 +194,7 @@ def _section(name: str, lines: Sequence[str]) -> Iterator[str]:
         yield from (f"  {line}" for line in shown)
 
 
-def _topics(topics: Sequence["TopicDescription"]) -> list[str]:
+def _topic_lines(topics: Sequence["TopicDescription"]) -> list[str]:
     rows = [
         (
             topic.topic,
@@ -212,12 +206,4 @@ def _topics(topics: Sequence["TopicDescription"]) -> list[str]:
         )
         for topic in topics
     ]
-    widths = [max(len(row[i]) for row in rows) for i in range(6)] if rows else []
-    right = (False, False, False, True, True, False)
-    return [
-        "  ".join(
-            text.rjust(width) if to_right else text.ljust(width)
-            for text, width, to_right in zip(row, widths, right, strict=True)
-        ).rstrip()
-        for row in rows
-    ]
+    return list(_section("topics", aligned(rows, right=(3, 4))))

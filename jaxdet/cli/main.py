@@ -8,8 +8,7 @@ from io import TextIOWrapper
 from tempfile import NamedTemporaryFile
 
 import jaxdet
-from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import tell
+from jaxdet.cli.terminal import SPINNER, tell
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, meant, printable
 from jaxdet.results.versions import crash_report
 from jaxdet.signals import stops_raised

@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
-from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import on_terminal, tell
+from jaxdet.cli.terminal import SPINNER, on_terminal, tell
 
 if TYPE_CHECKING:
     from jaxdet.engine import Progress, ProgressCallback

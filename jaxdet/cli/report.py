@@ -1,7 +1,7 @@
 """Summary of a run as lines of text."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,6 +116,22 @@ def _named(labels: Sequence[str]) -> str:
 def many(count: int, what: str) -> str:
     """Return a count with its noun, in the plural unless the count is 1."""
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def aligned(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[str]:
+    """Return the rows of a table as lines of text with columns of equal width.
+
+    Args:
+        rows: Cells of each row.
+        right: Indices of the columns that are aligned to the right.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for row in rows:
+        cells = enumerate(zip(row, widths, strict=True))
+        padded = (c.rjust(wide) if i in right else c.ljust(wide) for i, (c, wide) in cells)
+        lines.append("  ".join(padded).rstrip())
+    return lines
 
 
 def _label(log: "LogSummary") -> str:

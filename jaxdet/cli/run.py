@@ -6,13 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxdet.cli.flags import parse_flags
+from jaxdet.cli.flags import parse_flags, read_defaults
 from jaxdet.cli.fleet import FleetOptions, run_on_machines
-from jaxdet.cli.log import LOGGER, show_log
 from jaxdet.cli.report import summary_lines
-from jaxdet.cli.settings import defaults
-from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import tell
+from jaxdet.cli.terminal import LOGGER, SPINNER, show_log, tell
 from jaxdet.config import Config
 from jaxdet.engine.options import RunOptions
 from jaxdet.errors import ConfigError, Interrupted
@@ -131,7 +128,7 @@ class RunCommand:
 
 def parse(args: list[str]) -> RunCommand:
     """Parse the arguments; they override the TOML file, which overrides the preset."""
-    config, log, name = defaults(args)
+    config, log, name = read_defaults(args)
     start = {"preset": name, "method": config, "log": log}
     return parse_flags(RunCommand, args, "jaxdet run", DESCRIPTION, COMMON, start, GROUPS)
 
@@ -165,7 +162,7 @@ def _run(command: RunCommand) -> int:
     from jaxdet.cli.progress import reporting
     from jaxdet.engine import Runner
     from jaxdet.io import find_logs
-    from jaxdet.results.summary import to_json
+    from jaxdet.results.json_files import to_json
 
     logs = find_logs(command.logs, join=command.join)
     observers = {}
@@ -200,7 +197,7 @@ def _run(command: RunCommand) -> int:
 
 def _run_on_machines(command: RunCommand) -> int:
     """Process the logs with :mod:`jaxdet.fleet`: from buckets, on a cluster, or a share of them."""
-    from jaxdet.results.summary import plain
+    from jaxdet.results.json_files import plain
 
     if command.truth:
         remedy = "run without --on, --share and bucket addresses"

@@ -6,8 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from jaxdet.cli.flags import parse_flags
-from jaxdet.cli.spinner import SPINNER
-from jaxdet.cli.tell import tell
+from jaxdet.cli.terminal import SPINNER, tell
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.sim import SimConfig
 

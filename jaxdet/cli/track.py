@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import MANY_LOGS
-from jaxdet.cli.spinner import SPINNER
+from jaxdet.cli.terminal import SPINNER
 from jaxdet.errors import ConfigError
 from jaxdet.tracks.config import TrackConfig
 

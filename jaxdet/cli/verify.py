@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from jaxdet.cli.flags import parse_flags
 from jaxdet.cli.report import many
-from jaxdet.cli.spinner import SPINNER
+from jaxdet.cli.terminal import SPINNER
 from jaxdet.errors import ConfigError, printable
 
 if TYPE_CHECKING:

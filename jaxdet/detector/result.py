@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from jaxdet.io import Batch
-    from jaxdet.results.lists import Lists
+    from jaxdet.results.rows import Lists
 
 
 class FreeFloorLine(NamedTuple):

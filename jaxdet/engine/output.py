@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxdet.errors import ConfigError, InputError, ResultsError
-from jaxdet.results.durable import write_whole, writing
+from jaxdet.results.durable import finish, publish, remove, write_whole, writing
+from jaxdet.results.json_files import entries_of, read_json, to_json
 from jaxdet.results.layout import (
     FAILED,
     FRAMES,
@@ -17,17 +18,14 @@ from jaxdet.results.layout import (
     RUN,
     SUMMARY,
     WORKING,
-    entries_of,
     is_complete,
     log_folders,
-    read_json,
 )
 from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import fingerprint, read_manifest, same_inputs
 from jaxdet.results.names import log_name
-from jaxdet.results.publish import finish, publish, remove
 from jaxdet.results.record import difference, digest
-from jaxdet.results.summary import LogSummary, to_json
+from jaxdet.results.summary import LogSummary
 from jaxdet.signals import stops_held_back
 
 if TYPE_CHECKING:

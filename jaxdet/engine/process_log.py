@@ -29,15 +29,15 @@ from jaxdet.io.timeline import total
 from jaxdet.memory import size_text
 from jaxdet.pipeline import BackendName
 from jaxdet.render import draw_map, write_png
-from jaxdet.results.durable import writing
+from jaxdet.results.durable import flush_folder, remove, writing
+from jaxdet.results.json_files import write_json
 from jaxdet.results.layout import CONFIG, FAILED, SUMMARY
 from jaxdet.results.manifest import fingerprint, write_manifest
 from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MAX_CELLS, OccupancyMap, save_map
-from jaxdet.results.publish import flush_folder, remove
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.results.versions import crash_report
-from jaxdet.results.writer import TableWriter, write_json
+from jaxdet.results.writer import TableWriter
 
 if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles, LogOptions

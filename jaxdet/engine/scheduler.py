@@ -20,7 +20,7 @@ from jaxdet.engine.settings import RunSettings
 from jaxdet.engine.tasks import TaskQueue
 from jaxdet.errors import ConfigError, InputError, Interrupted, OutputError
 from jaxdet.io import LogFiles
-from jaxdet.results.publish import remove
+from jaxdet.results.durable import remove
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.signals import stops_held_back, stops_raised
 

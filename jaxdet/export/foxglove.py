@@ -59,8 +59,7 @@ from jaxdet.io.writer import Transform
 from jaxdet.render.canvas import color_of
 from jaxdet.results.map_file import FREE, OCCUPIED, Grid
 from jaxdet.results.reading import ResultLog, Results
-from jaxdet.results.tables import Frame
-from jaxdet.results.tracked import Mover
+from jaxdet.results.tables import Frame, Mover
 
 SCENE, BOXES, MAP, TF = "obstacles", "boxes", "map", "tf"
 """Topics, see :func:`jaxdet.export.shapes.topic`."""

@@ -14,7 +14,7 @@ import numpy as np
 from jaxdet.export.shapes import FREE_COLUMNS, T_world_upright, contour, free_floor
 from jaxdet.results.map_file import FREE, OCCUPIED, UNKNOWN, Grid, KnownPlaces
 from jaxdet.results.metric import to_world
-from jaxdet.results.raster import Layer, Raster, rasterize
+from jaxdet.results.occupancy import Layer, Raster, rasterize
 from jaxdet.results.reading import ResultLog, Results
 from jaxdet.results.tables import Frame
 from jaxdet.tracks.folder import tracking

@@ -26,9 +26,8 @@ from typing import Any, NamedTuple
 from jaxdet.errors import InputError
 from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
-from jaxdet.results.durable import writing
+from jaxdet.results.durable import finish, publish, remove, writing
 from jaxdet.results.layout import FAILED, FLEET, MANIFEST
-from jaxdet.results.publish import finish, publish, remove
 
 CURRENT = "current.json"
 MOST_KILLED = 3

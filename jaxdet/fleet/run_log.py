@@ -26,8 +26,8 @@ from jaxdet.fleet.publish import (
     version_of,
 )
 from jaxdet.fleet.spool import Spool, check_room, sweep
+from jaxdet.results.durable import remove
 from jaxdet.results.layout import FAILED, RUN, TRACKS
-from jaxdet.results.publish import remove
 
 
 def run_log(log: Log, place: str, how: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,21 +1,33 @@
-"""Files that are complete or absent, however the process ends."""
+"""Files and folders that are complete or absent, however the process ends.
 
+The folder of a log's results is made in the working folder and renamed when it is complete. If
+there is one already, the two are exchanged in one step, so at any time the complete old or the
+complete new one is there. On systems that can't do that, the old folder is moved aside for a
+moment: readers find it there, and if the process ends at that moment, the next command that works
+in the results moves it back (:func:`finish`).
+"""
+
+import ctypes
+import errno
 import hashlib
 import os
 import secrets
+import shutil
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from jaxdet.errors import OutputError
+from jaxdet.results.layout import ASIDE, WORKING
 
-MAKE_ROOM = "make room or give another --output"
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+_CANT = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
 
 
 @contextmanager
-def writing(path: Path, remedy: str = MAKE_ROOM) -> Iterator[None]:
+def writing(path: Path, remedy: str = "make room or give another --output") -> Iterator[None]:
     """Turn system errors into an error that ends the whole run, not only the current log.
 
     Args:
@@ -67,3 +79,117 @@ def _flush(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def publish(
+    staged: Path, results: Path, name: str, unless: Callable[[], bool] = lambda: False
+) -> bool:
+    """Move a staged folder to the path of a log's results; an older folder is removed.
+
+    Args:
+        staged: Complete folder, on the same disk; its files are on the disk
+            (:func:`flush_folder`).
+        results: Results folder.
+        name: Name of the log's folder.
+        unless: Called if there is a folder already; returns whether to keep the old folder.
+
+    Returns:
+        Whether the folder was moved to its place.
+
+    Raises:
+        OutputError: The disk is full or broken; the old or the new folder is there, complete.
+    """
+    place = results / name
+    with writing(place):
+        while not rename_if_absent(staged, place):
+            if unless():
+                return False
+            if exchange(staged, place):
+                remove(staged)
+                break
+            aside = results / WORKING / f"{ASIDE}{secrets.token_hex(4)}"
+            aside.mkdir(parents=True)
+            with suppress(FileNotFoundError):  # another process has moved it
+                os.rename(place, aside / name)
+        flush(results)
+        finish(results)
+    return True
+
+
+def finish(results: Path) -> None:
+    """Complete what :func:`publish` began: folders that were moved aside are removed or moved back.
+
+    Args:
+        results: Results folder.
+
+    Raises:
+        OutputError: The folder can't be written to; call this function again later.
+    """
+    with writing(results):
+        for aside in (results / WORKING).glob(f"{ASIDE}*"):
+            for folder in aside.glob("*"):
+                with suppress(FileNotFoundError):  # another process has moved it
+                    if rename_if_absent(folder, results / folder.name):
+                        flush(results)
+                    else:
+                        remove(folder)
+            with suppress(OSError):
+                aside.rmdir()
+
+
+def rename_if_absent(staged: Path, place: Path) -> bool:
+    """Rename a folder; return False, and change nothing, if something is at its place."""
+    try:
+        os.rename(staged, place)
+    except OSError:
+        if os.path.lexists(place):
+            return False
+        raise
+    return True
+
+
+def exchange(one: Path, other: Path) -> bool:
+    """Exchange two folders in one step; return False, and change nothing, if that is not possible.
+
+    The system may not support it, or another process may have moved ``other``.
+    """
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError, TypeError):  # no such function in this C library
+        return False
+    paths = (os.fsencode(one), os.fsencode(other))
+    if rename(_AT_FDCWD, paths[0], _AT_FDCWD, paths[1], _RENAME_EXCHANGE) == 0:
+        return True
+    number = ctypes.get_errno()
+    if number in _CANT or (number == errno.ENOENT and os.path.lexists(one)):
+        return False
+    raise OSError(number, os.strerror(number), str(other))
+
+
+def remove(path: Path) -> None:
+    """Remove a folder or a link, without an error if that fails."""
+    if path.is_symlink() or not path.is_dir():
+        with suppress(OSError):
+            path.unlink()
+    else:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def flush_folder(folder: Path) -> None:
+    """Wait until all files of a folder are on the disk."""
+    paths = [*folder.rglob("*")]
+    flush(*(path for path in paths if not path.is_symlink()), folder)
+
+
+def link_folder(folder: Path, copy: Path) -> None:
+    """Make a new folder with hard links to the files of another one, or copies of them."""
+    copy.mkdir(parents=True)
+    for path in sorted(folder.rglob("*")):
+        to = copy / path.relative_to(folder)
+        if path.is_dir() and not path.is_symlink():
+            to.mkdir()
+            continue
+        try:
+            to.hardlink_to(path)
+        except OSError:
+            shutil.copy2(path, to, follow_symlinks=False)

@@ -1,12 +1,11 @@
-"""Free floor of a batch in metres, in columns of the result table and in the world."""
+"""Free floor of a batch in metres, and in the world."""
 
 from functools import lru_cache, reduce
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.elementary import sin_cos
-from jaxdet.results.lists import Lists
 from jaxdet.results.metric import world_angle
 from jaxdet.types import RAYS, Array, FreeEnd
 
@@ -128,26 +127,3 @@ def ray_bearings() -> tuple[np.ndarray, np.ndarray]:
     for table in (bearing, way):
         table.setflags(write=False)
     return bearing, way
-
-
-def free_columns(free: FreeFloor | None, good: np.ndarray) -> dict[str, Any]:
-    """Return columns of ``frames.parquet``, null where ``good`` ``(n,)`` bool is False.
-
-    Without an estimate of the free floor all are null.
-    """
-    kinds = {
-        "free_bearing_rad": np.float32,
-        "free_from_m": np.float32,
-        "free_to_m": np.float32,
-        "free_end": np.int8,
-    }
-    if free is None:
-        nulls = dict.fromkeys(kinds, Lists.nulls(good.size))
-        return {**nulls, "drop_m": np.full(good.size, np.nan)}
-    used = free.seen & good[:, None]
-    at, length = np.flatnonzero(used), used.sum(axis=1, dtype=np.int32)
-    columns: dict[str, Any] = {}
-    for name, kind in kinds.items():
-        values = getattr(free, name.removeprefix("free_")).ravel()[at].astype(kind)
-        columns[name] = Lists.of_lengths(values, length, ~good)
-    return columns | {"drop_m": np.where(good, free.drop_m, np.nan).astype(np.float32)}

@@ -10,13 +10,21 @@ from pathlib import Path
 from typing import Any
 
 from jaxdet.errors import InputError, printable
-from jaxdet.results import shapes
-from jaxdet.results.durable import sha256, writing
-from jaxdet.results.layout import AGAIN, MANIFEST, check_regular, leads_out, read_json
-from jaxdet.results.shapes import check_shape
-from jaxdet.results.summary import to_json
+from jaxdet.results.durable import sha256
+from jaxdet.results.json_files import (
+    AGAIN,
+    COUNT,
+    TEXT,
+    check_shape,
+    leads_out,
+    read_json,
+    to_json,
+    write_json,
+)
+from jaxdet.results.layout import MANIFEST
 
 FORMAT = 2
+_SHAPE = {"files": {TEXT: {"size": COUNT, "sha256": TEXT}}, "log": TEXT, "inputs": [dict]}
 _ENDS_BYTES = 64 << 10
 
 
@@ -100,9 +108,7 @@ def write_manifest(folder: Path, about: Mapping[str, Any], leave_out: Collection
         for name, path in sorted(found.items())
         if name != MANIFEST and name not in leave_out
     }
-    manifest = _sealed({"format": FORMAT, **about, "files": files})
-    with writing(folder):
-        (folder / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
+    write_json(folder / MANIFEST, _sealed({"format": FORMAT, **about, "files": files}))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -112,7 +118,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         InputError: The manifest is missing or was changed, or the folder holds something that is
             not a regular file.
     """
-    check_regular(folder)
+    _check_regular(folder)
     found = read_json(folder / MANIFEST)
     files, path = found.get("files"), folder / MANIFEST
     if found.get("format") != FORMAT:
@@ -124,7 +130,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         as_written = False
     if not as_written or not isinstance(files, dict) or any(map(leads_out, files)):
         raise InputError("was changed", path=str(path), remedy=AGAIN)
-    check_shape(found, shapes.MANIFEST, path)
+    check_shape(found, _SHAPE, path)
     return found
 
 
@@ -132,3 +138,14 @@ def _sealed(manifest: Mapping[str, Any]) -> dict[str, Any]:
     """Return a manifest with a checksum of itself at its end."""
     found = {key: value for key, value in manifest.items() if key != "sha256"}
     return {**found, "sha256": hashlib.sha256(to_json(found).encode()).hexdigest()}
+
+
+def _check_regular(folder: Path) -> None:
+    """Check that a folder of results holds files and folders only.
+
+    Raises:
+        InputError: It holds a pipe, a device or a socket, or a link to one.
+    """
+    for path in folder.rglob("*"):
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise InputError("is not a regular file", path=str(path), remedy="remove it")

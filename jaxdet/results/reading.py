@@ -1,9 +1,10 @@
 """Reader of the results of ``jaxdet run``, which holds only a part of them in memory."""
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import cached_property
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,10 +17,16 @@ from jaxdet.config import Config
 from jaxdet.config_changes import changed
 from jaxdet.errors import InputError, JaxdetError, printable
 from jaxdet.io.options import LogOptions
-from jaxdet.results import shapes
-from jaxdet.results.arrow import open_file
-from jaxdet.results.layout import (
+from jaxdet.results.json_files import (
     AGAIN,
+    SUMMARY_SHAPE,
+    check_shape,
+    entries_of,
+    leads_out,
+    read_json,
+    unread,
+)
+from jaxdet.results.layout import (
     CONFIG,
     FAILED,
     FRAMES,
@@ -30,23 +37,17 @@ from jaxdet.results.layout import (
     SUMMARY,
     TRACKS,
     check_folder,
-    entries_of,
     is_complete,
     is_run,
-    leads_out,
     log_folders,
-    read_json,
-    unread,
 )
 from jaxdet.results.manifest import read_manifest
-from jaxdet.results.metadata import FORMAT, FORMAT_KEY
 from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MapImage, load_map
 from jaxdet.results.record import digest
 from jaxdet.results.schemas import FRAMES_SCHEMA, LINKS_SCHEMA, OBSTACLES_SCHEMA, TRACKS_SCHEMA
-from jaxdet.results.shapes import check_shape
-from jaxdet.results.tables import Frame, Tables
-from jaxdet.results.tracked import TracksInFrames
+from jaxdet.results.tables import Frame, Tables, TracksInFrames, open_file
+from jaxdet.results.writer import FORMAT, FORMAT_KEY
 
 CHUNK_FRAMES = 1024
 """Number of frames read together, by default."""
@@ -220,7 +221,7 @@ class Results:
             raise InputError(problem, path=str(folder), remedy="read them again")
         self.manifests[folder], self.summaries[folder] = manifest, summary
         entries = entries_of(summary, folder / SUMMARY)
-        check_shape(summary, shapes.SUMMARY, folder / SUMMARY)
+        check_shape(summary, SUMMARY_SHAPE, folder / SUMMARY)
         frame = obstacle = 0
         for entry in entries:
             name, camera = entry["log"], entry["camera"]
@@ -259,7 +260,7 @@ class Results:
         )
 
     def metadata(self, log: ResultLog, table: str = OBSTACLES) -> dict[str, str]:
-        """Return the metadata of a table of a log, see :mod:`jaxdet.results.metadata`."""
+        """Return the metadata of a table of a log, see :mod:`jaxdet.results.writer`."""
         with self._table(log, table) as file:
             return _metadata(file)
 
@@ -276,7 +277,7 @@ class Results:
         """
         if not self.tracked(log):
             return
-        with self._table_of_tracks(log, TRACKS) as file, self._reading(log):
+        with self._table(log, TRACKS) as file:
             for batch in file.iter_batches(CHUNK_FRAMES):
                 points, numbers = (
                     batch[name].value_lengths().to_numpy() for name in ("speed_mps", "path")
@@ -344,40 +345,30 @@ class Results:
         Raises:
             InputError: The tables can't be read, or don't belong together.
         """
-        for one in self.logs if log is None else (log,):
-            yield from self._chunks(one, frames, obstacles, size)
-
-    def _chunks(
-        self,
-        log: ResultLog,
-        frames: Sequence[str] | None,
-        obstacles: Sequence[str] | None,
-        size: int,
-    ) -> Iterator[Tables]:
         own = obstacles and [name for name in obstacles if name not in LINKED]
         wanted = LINKED if obstacles is None else [name for name in LINKED if name in obstacles]
-        linked = self.tracked(log) and wanted
-        with (
-            self._table(log, FRAMES) as frame_file,
-            self._table(log, OBSTACLES) as obstacle_file,
-            self._table_of_tracks(log, LINKS) if linked else nullcontext() as link_file,
-            self._reading(log),
-        ):
-            always = ("log", "camera", "frame")
-            rows = _Rows(frame_file, log.first_frame, frames, (*always, "num_obstacles"))
-            parts = _Rows(obstacle_file, log.first_obstacle, own, always)
-            links = link_file and _Rows(link_file, log.first_obstacle, wanted, ("frame",))
-            left = log.num_frames
-            while left:
-                taken = rows.take(min(size, left))
-                if not taken.num_rows:
-                    problem = f"summary.json says more frames of {log.label} than there are"
-                    raise InputError(problem, path=str(log.folder), remedy=AGAIN)
-                left -= taken.num_rows
-                count = taken["num_obstacles"].to_numpy()
-                chunk = Tables(taken, parts.take(int(count.sum(dtype=np.int64))))
-                _check(log, chunk, count)
-                yield chunk if links is None else _linked(log, chunk, links)
+        always = ("log", "camera", "frame")
+        for one in self.logs if log is None else (log,):
+            linked = self.tracked(one) and wanted
+            with (
+                self._table(one, FRAMES) as frame_file,
+                self._table(one, OBSTACLES) as obstacle_file,
+                self._table(one, LINKS) if linked else nullcontext() as link_file,
+            ):
+                rows = _Rows(frame_file, one.first_frame, frames, (*always, "num_obstacles"))
+                parts = _Rows(obstacle_file, one.first_obstacle, own, always)
+                links = link_file and _Rows(link_file, one.first_obstacle, wanted, ("frame",))
+                left = one.num_frames
+                while left:
+                    taken = rows.take(min(size, left))
+                    if not taken.num_rows:
+                        problem = f"summary.json says more frames of {one.label} than there are"
+                        raise InputError(problem, path=str(one.folder), remedy=AGAIN)
+                    left -= taken.num_rows
+                    count = taken["num_obstacles"].to_numpy()
+                    chunk = Tables(taken, parts.take(int(count.sum(dtype=np.int64))))
+                    _check(one, chunk, count)
+                    yield chunk if links is None else _linked(one, chunk, links)
 
     def frames(
         self,
@@ -412,41 +403,30 @@ class Results:
 
     @contextmanager
     def _table(self, log: ResultLog, name: str) -> Iterator[pq.ParquetFile]:
-        """Open a table of a log; check that it has as many rows as the summary says."""
-        table = open_table(log.folder / name)
+        """Open a table of a log, and check that it belongs to the other files.
+
+        Errors of a damaged table in the ``with`` block become errors of the input.
+        """
+        path = log.folder / name
+        table = open_table(path)
         self._open.append(table)
         try:
             if name in (FRAMES, OBSTACLES):
-                kind = name.partition(".")[0]
-                expected = self.summaries[log.folder][kind]
+                expected = self.summaries[log.folder][path.stem]
                 if (found := table.metadata.num_rows) != expected:
                     problem = f"{found} rows, but summary.json says {expected}"
-                    raise InputError(problem, path=str(log.folder / name), remedy=AGAIN)
+                    raise InputError(problem, path=str(path), remedy=AGAIN)
+            elif not self.metadata(log).items() <= _metadata(table).items():
+                problem = "belongs to other results than those in its folder"
+                raise InputError(problem, path=str(path), remedy=_TRACK_AGAIN)
             yield table
+        except (pa.ArrowException, OSError) as error:
+            problem = f"the tables can't be read ({' '.join(str(error).split())})"
+            raise InputError(problem, path=str(log.folder), remedy=AGAIN) from error
         finally:
             if table in self._open:
                 self._open.remove(table)
             table.close(force=True)
-
-    @contextmanager
-    def _table_of_tracks(self, log: ResultLog, name: str) -> Iterator[pq.ParquetFile]:
-        """Open a table of ``jaxdet track``; check that it belongs to these results."""
-        expected = self.metadata(log)
-        with self._table(log, name) as table:
-            about = _metadata(table)
-            if {key: about.get(key) for key in expected} != expected:
-                problem = "belongs to other results than those in its folder"
-                raise InputError(problem, path=str(log.folder / name), remedy=_TRACK_AGAIN)
-            yield table
-
-    @contextmanager
-    def _reading(self, log: ResultLog) -> Iterator[None]:
-        """Turn errors of damaged tables into errors of the input."""
-        try:
-            yield
-        except (pa.ArrowException, OSError) as error:
-            problem = f"the tables can't be read ({' '.join(str(error).split())})"
-            raise InputError(problem, path=str(log.folder), remedy=AGAIN) from error
 
 
 _TRACK_AGAIN = "run jaxdet track again"
@@ -522,7 +502,9 @@ class _Rows:
         group = int(np.searchsorted(ends, start, side="right"))
         names = file.schema_arrow.names if named is None else named
         schema = pa.schema([file.schema_arrow.field(name) for name in names])
-        self._batches = _batches(file, range(group, len(sizes)), named)
+        # Each row group has its own reader, as a single reader would keep parts of all in memory.
+        groups = range(group, len(sizes))
+        self._batches = chain.from_iterable(file.iter_batches(2048, [g], named) for g in groups)
         self._waiting = schema.empty_table()
         skipped = start - sum(sizes[:group])  # rows of other cameras
         for first in range(0, skipped, CHUNK_FRAMES):
@@ -536,20 +518,6 @@ class _Rows:
             waiting = pa.concat_tables([waiting, part])
         self._waiting = waiting.slice(count)
         return waiting.slice(0, count).combine_chunks()
-
-
-def _batches(
-    file: pq.ParquetFile,
-    groups: Iterable[int],
-    columns: Sequence[str] | None = None,
-    size: int = 2048,
-) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of row groups, at most ``size`` at a time.
-
-    Each row group has its own reader, as a single reader would keep parts of all in memory.
-    """
-    for group in groups:
-        yield from file.iter_batches(size, [group], columns)
 
 
 def _metadata(table: pq.ParquetFile) -> dict[str, str]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import jaxdet
 from jaxdet.config import Config
-from jaxdet.results.summary import plain
+from jaxdet.results.json_files import plain
 from jaxdet.results.versions import source_digest, versions
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import plane_in_color
 from jaxdet.floor.units import FloorFit, floor_fit
 from jaxdet.io.motion import inverse, quaternions
-from jaxdet.results.free_floor import Polygons, free_columns, free_floor
-from jaxdet.results.lists import Lists
+from jaxdet.results.free_floor import FreeFloor, Polygons, free_floor
 from jaxdet.results.metric import (
     TILT,
     contour_lines,
@@ -37,6 +36,35 @@ if TYPE_CHECKING:
     from jaxdet.io import Batch
 
 _REFUSALS = np.array([reason.name.lower() for reason in Refusal], object)
+
+
+class Lists(NamedTuple):
+    """R lists of different lengths in a column, one after the other, as Arrow stores them."""
+
+    values: np.ndarray
+    """Values of all lists, ``(n,)``."""
+    offsets: np.ndarray
+    """First index in ``values`` of each list, and the end of the last one, ``(R + 1,)`` int32."""
+    null: np.ndarray
+    """Whether each list is null and has no values, ``(R,)`` bool."""
+
+    @classmethod
+    def of_lengths(cls, values: np.ndarray, length: np.ndarray, null: np.ndarray) -> "Lists":
+        """Return lists of given lengths.
+
+        Args:
+            values: Values of all lists, ``(n,)``.
+            length: Length of each list, ``(R,)`` integer; their sum is n, and nulls have 0.
+            null: Whether each list is null, ``(R,)`` bool.
+        """
+        offsets = np.zeros(len(length) + 1, np.int32)
+        np.cumsum(length, out=offsets[1:])
+        return cls(values, offsets, null)
+
+    @classmethod
+    def nulls(cls, count: int) -> "Lists":
+        """Return ``count`` nulls."""
+        return cls(np.zeros(0), np.zeros(count + 1, np.int32), np.ones(count, bool))
 
 
 class Rows(NamedTuple):
@@ -180,7 +208,7 @@ def batch_rows(
     frame_columns = {
         **_frame_columns(batch, status, poses, plane),
         **_floor_columns(fit, sources[:count], good, config),
-        **free_columns(free, known),
+        **_free_columns(free, known),
         "num_obstacles": np.where(good, found.num_obstacles, 0).astype(np.int32),
         "overflow": found.overflow & good,
     }
@@ -271,6 +299,29 @@ def _floor_columns(
         "floor_source": np.where(own, "frame", np.array(sources, object)),
         "floor_refused": np.ma.array(_REFUSALS[refused], mask=~good | (refused == Refusal.NONE)),
     }
+
+
+def _free_columns(free: FreeFloor | None, good: np.ndarray) -> dict[str, Any]:
+    """Return columns of ``frames.parquet``, null where ``good`` ``(n,)`` bool is False.
+
+    Without an estimate of the free floor all are null.
+    """
+    kinds = {
+        "free_bearing_rad": np.float32,
+        "free_from_m": np.float32,
+        "free_to_m": np.float32,
+        "free_end": np.int8,
+    }
+    if free is None:
+        nulls = dict.fromkeys(kinds, Lists.nulls(good.size))
+        return {**nulls, "drop_m": np.full(good.size, np.nan)}
+    used = free.seen & good[:, None]
+    at, length = np.flatnonzero(used), used.sum(axis=1, dtype=np.int32)
+    columns: dict[str, Any] = {}
+    for name, kind in kinds.items():
+        values = getattr(free, name.removeprefix("free_")).ravel()[at].astype(kind)
+        columns[name] = Lists.of_lengths(values, length, ~good)
+    return columns | {"drop_m": np.where(good, free.drop_m, np.nan).astype(np.float32)}
 
 
 def _obstacle_columns(

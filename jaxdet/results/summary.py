@@ -1,19 +1,15 @@
-"""Summary of a run and of its logs, for ``summary.json``, and the format of JSON files."""
+"""Summary of a run and of its logs, for ``summary.json``."""
 
 import dataclasses
-import json
 import math
 import os
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from jaxdet.errors import FrameStatus, printable
+from jaxdet.errors import FrameStatus
+from jaxdet.results.json_files import plain
 from jaxdet.results.metric import MOST_TILT_DEG, TILT, rectangle_distances, tilted
 from jaxdet.results.versions import version, versions
 
@@ -55,7 +51,13 @@ class Counts:
     back, ``compute``, ``write`` rows, and to ``wait`` for the process that computes [s]."""
 
     def count(self, rows: Mapping[str, Any], obstacles: Mapping[str, Any]) -> None:
-        """Count the columns of ``frames.parquet`` and of ``obstacles.parquet`` of some frames."""
+        """Add the counts of some frames with all their obstacles.
+
+        Args:
+            rows: Columns of ``frames.parquet`` as NumPy arrays; Arrow would import pandas to
+                convert a table to them.
+            obstacles: Columns of ``obstacles.parquet``.
+        """
         self.frames += len(rows["status"])
         self.status.update(rows["status"].tolist())
         self.obstacles += int(rows["num_obstacles"].sum())
@@ -346,47 +348,3 @@ def _unusable(log: Mapping[str, Any]) -> str:
     states = ", ".join(f"{n} {status}" for status, n in Counter(log["status"]).most_common())
     text = f"{log['log']}: none of its {log['frames']} frames could be used ({states})"
     return "; ".join([text, *log["frame_errors"][:1]])
-
-
-def to_json(value: Mapping[str, Any]) -> str:
-    """Return a mapping as JSON with a final newline; paths and enums become strings.
-
-    A value that doesn't fit into a line has a line for each of its parts, indented by two spaces.
-    """
-    return _json_text(value, "") + "\n"
-
-
-_LINE = 100
-_ENCODER = json.JSONEncoder(ensure_ascii=False, default=str, allow_nan=False)
-
-
-def _json_text(value: Any, indent: str) -> str:
-    line = _ENCODER.encode(value)
-    if len(indent) + len(line) <= _LINE or not isinstance(value, Mapping | list | tuple):
-        return line
-    deeper = indent + "  "
-    if isinstance(value, Mapping):
-        ends = "{}"
-        parts = [f"{_ENCODER.encode(k)}: {_json_text(v, deeper)}" for k, v in value.items()]
-    else:
-        ends, parts = "[]", [_json_text(part, deeper) for part in value]
-    rows = ",\n".join(deeper + part for part in parts)
-    return f"{ends[0]}\n{rows}\n{indent}{ends[1]}"
-
-
-def plain(value: Any) -> Any:
-    """Return a value for JSON: dataclasses and named tuples become mappings, NaN becomes null."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        pairs = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
-        return {k: plain(v) for k, v in pairs.items() if not k.startswith("_")}
-    if isinstance(value, tuple) and hasattr(value, "_asdict"):
-        return {k: plain(v) for k, v in value._asdict().items()}  # pyright: ignore
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [plain(v) for v in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return printable(str(value)) if isinstance(value, Enum | Path | str) else value

@@ -1,17 +1,81 @@
-"""Rows of the two tables of results in memory, as Arrow tables."""
+"""Rows of the tables of results in memory: as Arrow tables, and frame by frame with their tracks.
 
-from collections.abc import Iterator, Mapping, Sequence
+Arrow arrays are made from the memory of NumPy arrays: ``pa.array`` and, in earlier versions,
+``to_pandas_dtype`` import pandas if it is installed, which takes a third of a second and 40 MB in
+each process.
+"""
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
-from jaxdet.results.arrow import map_file, open_file, to_array
+from jaxdet.elementary import hypot
 from jaxdet.results.durable import writing
+from jaxdet.results.rows import Lists
 from jaxdet.results.schemas import FRAMES_SCHEMA, OBSTACLES_SCHEMA
-from jaxdet.results.tracked import Mover
+
+_NUMPY = {
+    pa.int8(): np.int8,
+    pa.int32(): np.int32,
+    pa.int64(): np.int64,
+    pa.float32(): np.float32,
+    pa.float64(): np.float64,
+}
+
+
+class Mover(NamedTuple):
+    """A track in a frame, whether the frame shows it or not."""
+
+    track: int
+    in_world: bool
+    """Whether the path is in the world; otherwise it is in the camera's ground frame."""
+    moving: bool
+    path: np.ndarray
+    """Path of the track up to this frame, or its position if it stands, ``(n, 2)`` float64 [m]."""
+    velocity: np.ndarray
+    """Velocity ``(2,)`` float64 [m/s]."""
+
+
+class TracksInFrames:
+    """Tracks of the frames of a log, which are requested one after the other.
+
+    Args:
+        tracks: Rows of ``tracks.parquet``, in order.
+    """
+
+    def __init__(self, tracks: Iterable[Mapping[str, Any]]) -> None:
+        self._tracks: Iterator[Mapping[str, Any]] = iter(tracks)
+        self._next = next(self._tracks, None)
+        self._there: list[tuple[int, Mapping[str, Any]]] = []
+        self._row = -1
+
+    def at(self, frame: int) -> list[Mover]:
+        """Return the tracks in the next frame, which has this number."""
+        self._row += 1
+        while self._next is not None and self._next["first_frame"] <= frame:
+            path = np.reshape(self._next["path"], (-1, 2)).astype(np.float64)
+            velocity = _velocities(path, np.asarray(self._next["speed_mps"], np.float64))
+            self._there.append((self._row, {**self._next, "path": path, "velocity": velocity}))
+            self._next = next(self._tracks, None)
+        self._there = [(row, track) for row, track in self._there if track["last_frame"] >= frame]
+        return [_mover(track, self._row - row) for row, track in self._there]
+
+
+def _mover(track: Mapping[str, Any], point: int) -> Mover:
+    point = min(point, len(track["path"]) - 1)
+    about = track["track"], track["in_world"], track["moving"]
+    return Mover(*about, track["path"][: point + 1], track["velocity"][point])
+
+
+def _velocities(path: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Return the velocities ``(n, 2)`` at the points of a path, along it, from speeds ``(n,)``."""
+    way = np.concatenate([path[1:], path[-1:]]) - np.concatenate([path[:1], path[:-1]])
+    return speed[:, None] * way / np.maximum(hypot(*way.T), 1e-9)[:, None]
 
 
 class Frame(NamedTuple):
@@ -82,7 +146,95 @@ def to_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
     """Return columns as an Arrow table.
 
     Args:
-        columns: Columns by the names of the fields, see :func:`jaxdet.results.arrow.to_array`.
+        columns: Columns by the names of the fields, see :func:`to_array`.
         schema: One of :mod:`jaxdet.results.schemas`.
     """
     return pa.Table.from_arrays([to_array(columns[f.name], f) for f in schema], schema=schema)
+
+
+def open_file(path: Path, mode: Literal["rb", "wb"]) -> pa.NativeFile:
+    """Open a file for Arrow, whose own functions refuse paths that aren't UTF-8.
+
+    Raises:
+        OSError: It can't be opened.
+    """
+    return pa.OSFile(os.fsencode(path), mode)
+
+
+def map_file(path: Path) -> pa.NativeFile:
+    """Map a file into memory for Arrow, even if its path isn't UTF-8.
+
+    Raises:
+        OSError: It can't be opened.
+    """
+    return pa.memory_map(os.fsencode(path))
+
+
+def to_array(values: Any, field: pa.Field) -> pa.Array:
+    """Return a column as an Arrow array.
+
+    Args:
+        values: ``(R,)`` numbers, booleans or strings, ``(R, n)`` for lists of n, or
+            :class:`jaxdet.results.rows.Lists`. In a nullable field, masked values, NaN and lists
+            that contain such values are null.
+        field: Field of the column, with its type and whether it is nullable.
+    """
+    if isinstance(values, Lists):
+        flat = _numbers(values.values, field.type.value_type)
+        offsets = np.ascontiguousarray(values.offsets, np.int32)
+        return _array(field.type, values.null, [pa.py_buffer(offsets)], [flat])
+    null, data = np.zeros(len(values), bool), np.ma.getdata(values)
+    if field.nullable:
+        none = np.ma.getmaskarray(values)
+        if np.issubdtype(data.dtype, np.floating):
+            none = none | np.isnan(data)
+        data, null = np.where(none, 0, data), np.asarray(none.any(axis=tuple(range(1, none.ndim))))
+    if pa.types.is_fixed_size_list(field.type):
+        flat = _numbers(data.reshape(-1), field.type.value_type)
+        return _array(field.type, null, [], [flat])
+    if pa.types.is_string(field.type):
+        return _strings(data, null)
+    return _numbers(data, field.type, null)
+
+
+def _numbers(values: np.ndarray, kind: pa.DataType, null: np.ndarray | None = None) -> pa.Array:
+    if pa.types.is_boolean(kind):
+        memory = np.packbits(np.asarray(values, bool), bitorder="little")
+    else:
+        memory = np.ascontiguousarray(values, _NUMPY[kind])
+    null = np.zeros(len(values), bool) if null is None else null
+    return _array(kind, null, [pa.py_buffer(memory)])
+
+
+def _strings(values: np.ndarray, null: np.ndarray) -> pa.Array:
+    given = np.where(null, "", values).tolist()
+    known = {text: text.encode() for text in set(given)}
+    texts = [known[text] for text in given]
+    ends = np.zeros(len(texts) + 1, np.int32)
+    np.cumsum([len(text) for text in texts], out=ends[1:])
+    return _array(pa.string(), null, [pa.py_buffer(ends), pa.py_buffer(b"".join(texts))])
+
+
+def _array(
+    kind: pa.DataType,
+    null: np.ndarray,
+    buffers: list[pa.Buffer],
+    children: list[pa.Array] | None = None,
+) -> pa.Array:
+    count = int(np.count_nonzero(null))
+    valid = pa.py_buffer(np.packbits(~null, bitorder="little")) if count else None
+    return pa.Array.from_buffers(kind, len(null), [valid, *buffers], count, children=children)
+
+
+def list_array(column: pa.ChunkedArray) -> pa.ListArray:
+    """Return a column of lists as one array."""
+    array = column.combine_chunks()
+    return array.chunk(0) if isinstance(array, pa.ChunkedArray) else array
+
+
+def vectors(column: pa.ChunkedArray, size: int) -> np.ndarray:
+    """Return vectors ``(N, size)`` of the column's type, NaN for null."""
+    values = list_array(column).flatten().to_numpy().reshape(-1, size)
+    found = np.full((len(column), size), np.nan, values.dtype)
+    found[column.is_valid().to_numpy()] = values
+    return found

@@ -1,28 +1,41 @@
-"""Writers of the tables of a log as Parquet files, and of its JSON files.
+"""Writers of the tables of a log as Parquet files, with their metadata.
 
 The bytes of the tables are a function of their rows alone: rows are buffered into row groups
-of a fixed size for any batch size, and the writer's settings are fixed here.
+of a fixed size for any batch size, and the writer's settings are fixed here. The metadata is text
+in key-value pairs: format, version, configuration and inputs. It doesn't depend on the time, the
+machine, the device, the batch or the paths of files, so that the files' bytes don't either.
 """
 
 import contextlib
+import hashlib
+import json
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxdet.results.arrow import open_file
+import jaxdet
 from jaxdet.results.durable import writing
 from jaxdet.results.layout import FRAMES, OBSTACLES
-from jaxdet.results.metadata import Inputs, table_metadata
 from jaxdet.results.schemas import DICTIONARIES, FRAMES_SCHEMA, OBSTACLES_SCHEMA
-from jaxdet.results.summary import to_json
-from jaxdet.results.tables import Tables
+from jaxdet.results.tables import Tables, open_file
 
+FORMAT = 5
+"""Number of the tables' format; it changes with the columns or their meaning."""
+
+FORMAT_KEY, VERSION_KEY = "jaxdet.format", "jaxdet.version"
+CONFIG_KEY, INPUTS_KEY = "jaxdet.config", "jaxdet.inputs"
+
+_KEYS = ("log", "camera")
+_CHANGES_NO_ROW = ("preset", "backend", "batch_size")
+"""Keys of ``config.json`` that change no row of the tables."""
 ROWS_PER_GROUP = 65536
 """Rows in a row group; part of the format, as it decides the bytes."""
 
@@ -130,11 +143,60 @@ class TableWriter:
             deque(threads.map(lambda table: table.close(metadata), self._tables), 0)
 
 
-def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Write a mapping as JSON.
+class Inputs:
+    """Digests for each camera of each log in a table: of its stamps and its calibration."""
 
-    Raises:
-        OutputError: The disk is full, or the folder can't be written to.
+    def __init__(self) -> None:
+        self._frames: dict[tuple[str, str], int] = {}
+        self._digests: dict[tuple[str, str], Any] = {}
+
+    def add(self, frames: pa.Table) -> None:
+        """Add rows of ``frames.parquet``, in order."""
+        # As lists: Arrow's groups and arrays for NumPy import pandas.
+        columns = [frames[name].to_pylist() for name in (*_KEYS, "stamp_ns")]
+        for name, same in groupby(zip(*columns, strict=True), key=lambda row: row[:2]):
+            rows = [at for *_, at in same]
+            self._frames[name] = self._frames.get(name, 0) + len(rows)
+            digest = self._digests.setdefault(name, hashlib.sha256())
+            digest.update(np.array(rows, "<i8").tobytes())
+
+    def fingerprints(self, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Return each log and camera with its number of frames and its digest.
+
+        Args:
+            summary: Content of ``summary.json``, of which only the calibrations are used.
+        """
+        known = {(log["log"], log["camera"]): log["calibration"] for log in summary.get("logs", ())}
+        found = []
+        for (log, camera), digest in sorted(self._digests.items(), key=lambda item: item[0]):
+            whole = digest.copy()
+            whole.update(_canonical(known.get((log, camera))).encode())
+            about = {"frames": self._frames[log, camera], "sha256": whole.hexdigest()}
+            found.append({"log": log, "camera": camera, **about})
+        return found
+
+
+def table_metadata(
+    config: Mapping[str, Any], summary: Mapping[str, Any], inputs: Inputs
+) -> dict[str, str]:
+    """Return the key-value metadata of both tables.
+
+    Args:
+        config: Content of ``config.json``, of which only values that can change a row are used.
+        summary: Content of ``summary.json``, of which only the logs' calibrations are used.
+        inputs: Inputs of the rows.
     """
-    with writing(path):
-        path.write_text(to_json(value), encoding="utf-8")
+    method = {key: value for key, value in config.items() if key not in _CHANGES_NO_ROW}
+    if isinstance(log := method.get("log"), Mapping):  # scanning a log changes none of its frames
+        method["log"] = {key: value for key, value in log.items() if key != "scan"}
+    return {
+        FORMAT_KEY: str(FORMAT),
+        VERSION_KEY: jaxdet.__version__,
+        CONFIG_KEY: _canonical(method),
+        INPUTS_KEY: _canonical(inputs.fingerprints(summary)),
+    }
+
+
+def _canonical(value: Any) -> str:
+    """Return a value as JSON in its one canonical form."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=str)

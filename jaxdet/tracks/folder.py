@@ -20,17 +20,15 @@ import pyarrow.parquet as pq
 
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.render import draw_map, write_png
-from jaxdet.results.arrow import open_file, vectors
-from jaxdet.results.durable import writing
+from jaxdet.results.durable import finish, flush_folder, link_folder, publish, remove, writing
 from jaxdet.results.layout import LINKS, MANIFEST, TRACKS, WORKING, check_folder, is_complete
 from jaxdet.results.lock import Lock
 from jaxdet.results.manifest import read_manifest, write_manifest
 from jaxdet.results.map_file import Grid, read_map, write_map
 from jaxdet.results.occupancy import MapImage, OccupancyMap
-from jaxdet.results.publish import finish, flush_folder, link_folder, publish, remove
 from jaxdet.results.reading import ResultLog, Results
 from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
-from jaxdet.results.tables import Tables
+from jaxdet.results.tables import Tables, open_file, vectors
 from jaxdet.results.writer import parquet_writer
 from jaxdet.tracks.config import TrackConfig
 from jaxdet.tracks.observations import observations_of
@@ -179,13 +177,18 @@ def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[Lo
         config: Tracking parameters.
         folder: Folder for the files.
     """
-    metadata, found = _metadata(results, config), []
+    parameters = json.dumps(dataclasses.asdict(config), sort_keys=True, separators=(",", ":"))
+    about = results.metadata(results.logs[0]) if results.logs else {}
+    about[TRACKING_KEY] = parameters
+    found = []
     known = known_map(results.folder)
     if known is not None and folder != results.folder:
         _write_known(results, known, folder)
     with (
-        _Writer(folder / TRACKS, TRACKS_SCHEMA, metadata) as table,
-        _Writer(folder / LINKS, LINKS_SCHEMA, metadata) as links,
+        open_file(folder / TRACKS, "wb") as track_file,
+        open_file(folder / LINKS, "wb") as link_file,
+        parquet_writer(track_file, TRACKS_SCHEMA.with_metadata(about)) as table,
+        parquet_writer(link_file, LINKS_SCHEMA.with_metadata(about)) as links,
     ):
         for log in results.logs:
             image, paths, new = results.map(log), [], 0
@@ -193,7 +196,7 @@ def write_tracks(results: Results, config: TrackConfig, folder: Path) -> list[Lo
             with TrackRows(folder / "rows.arrow", log) as rows:
                 one = _track_log(results, log, config, rows, links, places)
                 for part in places.tracks(rows):
-                    table.write(part)
+                    table.write_table(part.cast(table.schema))
                     new += part["in_map"].to_pylist().count(False)
                     paths += _paths(part, config.most_floor) if image is not None else ()
             found.append(one._replace(new=None if known is None else new))
@@ -261,7 +264,7 @@ def _track_log(
     log: ResultLog,
     config: TrackConfig,
     rows: TrackRows,
-    links: "_Writer",
+    links: pq.ParquetWriter,
     places: Places,
 ) -> LogTracks:
     """Track the obstacles of a log; write its rows of ``track_links.parquet``; return a summary."""
@@ -279,7 +282,7 @@ def _track_log(
             columns = [pa.array(of, pa.int32(), mask=of < 0), *place.columns()]
             for field, column in zip(list(LINKS_SCHEMA)[4:], columns, strict=True):
                 obstacles = obstacles.append_column(field, column)
-            links.write(obstacles)
+            links.write_table(obstacles.cast(links.schema))
             places.count(of, place)
         return sum(int((of >= 0).sum()) for of in tracks_of)
 
@@ -322,32 +325,6 @@ def _paths(tracks: pa.Table, most_floor: float) -> list[tuple[np.ndarray, bool]]
     lasting = is_lasting(tracks["floor_seen"].to_numpy(), most_floor).tolist()
     kept = zip(*columns, paths, lasting, strict=True)
     return [(path, moving) for in_world, moving, path, lasts in kept if in_world and lasts]
-
-
-class _Writer:
-    """A Parquet file whose bytes depend only on its rows and metadata."""
-
-    def __init__(self, path: Path, schema: pa.Schema, metadata: dict[str, str]) -> None:
-        self.sink = open_file(path, "wb")
-        self.file = parquet_writer(self.sink, schema.with_metadata(metadata))
-
-    def __enter__(self) -> "_Writer":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.file.close()
-        self.sink.close()
-
-    def write(self, table: pa.Table) -> None:
-        """Append the rows of a log."""
-        self.file.write_table(table.cast(self.file.schema))
-
-
-def _metadata(results: Results, config: TrackConfig) -> dict[str, str]:
-    """Return the tables' metadata: those of ``obstacles.parquet``, and the tracking parameters."""
-    tracking = json.dumps(dataclasses.asdict(config), sort_keys=True, separators=(",", ":"))
-    about = results.metadata(results.logs[0]) if results.logs else {}
-    return about | {TRACKING_KEY: tracking}
 
 
 @contextmanager

@@ -8,15 +8,13 @@ import numpy as np
 import pyarrow as pa
 
 from jaxdet.elementary import arctan2, hypot
-from jaxdet.results.arrow import vectors
 from jaxdet.results.free_floor import RAY_RAD, FreeFloor
 from jaxdet.results.map_file import Grid, KnownPlaces
 from jaxdet.results.metric import world_angle
 from jaxdet.results.occupancy import MapImage, OccupancyMap
 from jaxdet.results.reading import ResultLog, Results
 from jaxdet.results.schemas import LINKS_SCHEMA, TRACKS_SCHEMA
-from jaxdet.results.tables import Tables
-from jaxdet.results.tracked import TracksInFrames
+from jaxdet.results.tables import Tables, TracksInFrames, vectors
 from jaxdet.tracks.rows import TrackRows
 from jaxdet.tracks.sightings import (
     CHUNK_FRAMES,

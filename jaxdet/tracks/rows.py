@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from jaxdet.results.arrow import map_file, open_file
 from jaxdet.results.durable import writing
 from jaxdet.results.reading import ResultLog
 from jaxdet.results.schemas import TRACKS_SCHEMA
+from jaxdet.results.tables import map_file, open_file
 from jaxdet.tracks.track import Track
 
 PART_ROWS = 1024

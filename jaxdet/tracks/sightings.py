@@ -20,12 +20,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jaxdet.io.motion import motion_matrix
-from jaxdet.results.arrow import list_array, vectors
 from jaxdet.results.free_floor import RAY_RAD, FreeFloor, ray_bearings
 from jaxdet.results.metric import TILT, tilted, to_world
-from jaxdet.results.occupancy import CELL_M, TILE
-from jaxdet.results.raster import Layer, rasterize
-from jaxdet.results.tables import Tables
+from jaxdet.results.occupancy import CELL_M, TILE, Layer, rasterize
+from jaxdet.results.tables import Tables, list_array, vectors
 from jaxdet.types import RAYS, FreeEnd
 
 CHUNK_FRAMES = 64

@@ -9,8 +9,8 @@ from scipy.optimize import linear_sum_assignment
 
 from jaxdet.errors import InputError
 from jaxdet.eval.polygon import overlap
+from jaxdet.results.json_files import plain
 from jaxdet.results.reading import MOST_NAMED, ResultLog, Results
-from jaxdet.results.summary import plain
 from jaxdet.results.tables import Frame
 
 MIN_OVERLAP = 0.2

@@ -6,13 +6,12 @@ from dataclasses import fields
 import numpy as np
 
 from jaxdet.errors import InputError
-from jaxdet.results.arrow import vectors
 from jaxdet.results.layout import FRAMES, OBSTACLES
-from jaxdet.results.metadata import INPUTS_KEY, VERSION_KEY, Inputs, table_metadata
 from jaxdet.results.reading import ResultLog, Results
 from jaxdet.results.schemas import OBSTACLES_SCHEMA
 from jaxdet.results.summary import Counts
-from jaxdet.results.tables import Tables
+from jaxdet.results.tables import Tables, vectors
+from jaxdet.results.writer import INPUTS_KEY, VERSION_KEY, Inputs, table_metadata
 from jaxdet.verify.report import Report
 
 

@@ -8,7 +8,7 @@ import pytest
 from jaxdet.fleet import publish, result_files, spool
 from jaxdet.fleet.place import Bucket, Folder, input_entry
 from jaxdet.fleet.publish import BucketResults, Target, open_results, version_of
-from jaxdet.results import publish as folders
+from jaxdet.results import durable as folders
 from jaxdet.results.layout import log_folders
 from tests.fleet.stub import check_complete, check_results, run_one
 

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 from jaxdet.config import Config
 from jaxdet.errors import InputError
 from jaxdet.presets import preset
-from jaxdet.results.shapes import AGAIN
-from jaxdet.results.summary import plain
+from jaxdet.results.json_files import AGAIN, plain
 
 if TYPE_CHECKING:
     from jaxdet.results.reading import Results

@@ -1,15 +1,29 @@
-"""Activity indicator on a terminal; imports no heavy package."""
+"""Lines, log records and an activity indicator on standard error; imports no heavy package."""
 
+import logging
+import os
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from jaxdet.cli.tell import on_terminal
+from jaxdet.errors import printable
 
+LOGGER = logging.getLogger("jaxdet")
 _FRAMES = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏"
 _EVERY_S = 0.1
 _ERASE = "\r\x1b[2K"
+
+
+def on_terminal() -> bool:
+    """Return whether standard error is a terminal that can overwrite lines."""
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+
+
+def tell(text: str) -> None:
+    """Write a line to stderr, ignoring write errors."""
+    with suppress(OSError):  # a closed or full stderr must not stop the command
+        print(text, file=sys.stderr, flush=True)
 
 
 class Spinner:
@@ -61,3 +75,19 @@ class Spinner:
 
 SPINNER = Spinner()
 """The only instance, since there is one terminal."""
+
+
+class _Lines(logging.Handler):
+    """Handler that writes one line per record."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record as a line."""
+        SPINNER.stop()
+        tell(f"jaxdet: {printable(record.getMessage())}")
+
+
+def show_log(level: int) -> None:
+    """Show log records of the given level and above."""
+    LOGGER.setLevel(level)
+    if not any(isinstance(handler, _Lines) for handler in LOGGER.handlers):
+        LOGGER.addHandler(_Lines())
