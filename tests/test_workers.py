@@ -26,9 +26,9 @@ from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
 from jaxdet.engine import executors, gpu, gpu_threads, pool, process_log, worker
-from jaxdet.engine.plan import LogPlan
+from jaxdet.engine.plan import UNIT_FRAMES, divide
+from jaxdet.engine.pool import TaskQueue
 from jaxdet.engine.slots import SLOTS, attached
-from jaxdet.engine.tasks import TaskQueue
 from jaxdet.engine.worker import WorkerProcess
 from jaxdet.errors import (
     ConfigError,
@@ -314,23 +314,26 @@ def test_tasks_go_to_idle_workers():
 
 
 def test_units_keep_all_workers_busy():
-    most = process_log.UNIT_FRAMES
-    assert process_log._unit_sizes(10**6, 16, 8, "jax") == (most, 8 * most, most // 4)
-    assert process_log._unit_sizes(600, 16, 8, "jax") == (16, 8 * 16, 16)
-    assert process_log._unit_sizes(3, 16, 1, "jax") == (16, 0, 16)
-    assert process_log._unit_sizes(10**6, 16, 8, "reference") == (16, 8 * 16, 16)
+    def sizes(frames: int, workers: int, most: int = UNIT_FRAMES) -> list[int]:
+        return [unit.stop - unit.start for unit in divide(range(frames), 16, workers, most)]
+
+    many = sizes(10**6, 8)
+    assert many[0] == UNIT_FRAMES and many.count(UNIT_FRAMES // 4) >= 4 * 8
+    assert set(many[many.index(UNIT_FRAMES // 4) : -1]) == {UNIT_FRAMES // 4}
+    assert sizes(600, 8) == [*[16] * 37, 8]
+    assert sizes(3, 1) == [3]
+    assert set(sizes(10**6, 8, 16)) == {16}
 
 
 @pytest.mark.parametrize("frames", [range(1), range(5, 900, 3), range(20_040)])
 @pytest.mark.parametrize("workers", [1, 2, 15])
 def test_units_contain_each_frame_once(frames, workers):
-    sizes = process_log._unit_sizes(len(frames), 16, workers, "jax")
-    plan: Any = SimpleNamespace(frames=frames, sizes=sizes)
-    units = list(LogPlan.units(plan))
+    units = divide(frames, 16, workers)
     held = [number for unit in units for number in frames if unit.start <= number < unit.stop]
     assert held == list(frames) and [unit.number for unit in units] == list(range(len(units)))
     if len(units) > 4 * workers > 4:
-        small = [unit for unit in units if len(range(*unit[1:], frames.step)) <= sizes.end_size]
+        counts = [len(range(unit.start, unit.stop, frames.step)) for unit in units]
+        small = [unit for unit, count in zip(units, counts, strict=True) if count < counts[0]]
         assert len(small) >= workers and units[-len(small) :] == small
 
 

@@ -37,8 +37,6 @@ class LogJob(NamedTuple):
     settings: RunSettings
     memory: Memory
     """Memory of the run, of which each worker takes its share."""
-    devices: int
-    """Number of GPUs."""
     served: "Served | None"
     """Format of the frames that GPUs compute; None if workers compute."""
 
@@ -69,4 +67,4 @@ class LogJob(NamedTuple):
         share = share_of_worker(self.settings, log, memory, self.served)
         device = process.device(self.served, self.settings)
         alive = process.report_progress
-        return InProcess(self.settings, log, share, device, alive, self.devices)
+        return InProcess(self.settings, log, share, device, alive)

@@ -77,6 +77,7 @@ class Memory:
 
     Attributes:
         total: Memory of the run [bytes].
+        devices: Number of GPUs.
         workers: Number of processes that fit, at most the argument ``workers``.
         chunks: Memory for chunks in each process [bytes].
         reading: Limits for reading a log.
@@ -96,7 +97,7 @@ class Memory:
         apart: bool = False,
         largest: int = LogOptions.max_chunk_mib * MIB,
     ) -> None:
-        self._asked, self._devices, self.apart = asked, devices, False
+        self._asked, self.devices, self.apart = asked, devices, False
         self._largest = largest
         least = self._fixed(1) + LEAST_CHUNKS + LEAST_IMAGES
         if asked is None:
@@ -122,7 +123,7 @@ class Memory:
         """
         if self.workers == 1:
             return None
-        given = self._asked, self.workers // 2, self._devices
+        given = self._asked, self.workers // 2, self.devices
         return Memory(*given, apart=self.apart, largest=self._largest)
 
     def allot(self, needs: Needs, batch: int, workers: int, where: str) -> MemoryPlan:
@@ -157,6 +158,6 @@ class Memory:
         return (self.total - self._fixed(workers)) // workers
 
     def _fixed(self, workers: int) -> int:
-        if self._devices:
+        if self.devices:
             return ON_GPUS + workers * READER
         return ALONE if workers == 1 and not self.apart else PARENT + workers * WORKER

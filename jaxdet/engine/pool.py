@@ -5,7 +5,8 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Generator, Iterator
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from itertools import chain
@@ -15,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 from jaxdet.config import Config
 from jaxdet.engine.gpu_threads import GpuThreads, served_for
+from jaxdet.engine.plan import UnitQueue
 from jaxdet.engine.slots import GpuPipe, Served
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
-from jaxdet.engine.tasks import TaskQueue, UnitQueue
 from jaxdet.engine.worker import Failure, Job, Lost, Worker
 from jaxdet.errors import FrameStatus, WorkerStartError
 from jaxdet.pipeline import BackendName
@@ -86,6 +87,28 @@ def _start_server(loaded: list[str]) -> None:
             except OSError as error:
                 problem = f"workers can't be started ({error.strerror or error})"
                 raise WorkerStartError(problem, remedy=_SHORT_TMPDIR) from error
+
+
+class TaskQueue:
+    """Tasks that free workers take in order.
+
+    Args:
+        tasks: The tasks.
+    """
+
+    def __init__(self, tasks: Iterable[Any]) -> None:
+        self._left = deque(tasks)
+
+    def __len__(self) -> int:
+        return len(self._left)
+
+    def take(self, worker: int) -> Any:
+        """Return the next task for the worker of this number; the queue may not be empty."""
+        return self._left.popleft()
+
+    def put_back(self, tasks: Iterable[Any]) -> None:
+        """Put tasks that were taken but not done back at the front."""
+        self._left.extendleft(tasks)
 
 
 class Pool:

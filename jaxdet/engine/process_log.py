@@ -11,7 +11,7 @@ from jaxdet.engine.device import out_of_memory
 from jaxdet.engine.executors import Executor, Host
 from jaxdet.engine.floors import Planes, evenly
 from jaxdet.engine.own_body import own_body_note
-from jaxdet.engine.plan import LogPlan, UnitSizes
+from jaxdet.engine.plan import UNIT_FRAMES, LogPlan, divide
 from jaxdet.engine.progress import Clock
 from jaxdet.engine.settings import RunSettings
 from jaxdet.engine.unit_result import Assembly
@@ -27,7 +27,6 @@ from jaxdet.errors import (
 from jaxdet.io import open_log
 from jaxdet.io.notes import total
 from jaxdet.memory import size_text
-from jaxdet.pipeline import BackendName
 from jaxdet.render import draw_map, write_png
 from jaxdet.results.durable import writing
 from jaxdet.results.layout import CONFIG, FAILED, SUMMARY
@@ -42,8 +41,6 @@ from jaxdet.results.writer import TableWriter, write_json
 if TYPE_CHECKING:
     from jaxdet.io import Log, LogFiles, LogOptions
 
-UNIT_FRAMES = 256
-"""Maximum number of frames in a unit; neighbouring frames are taken, as they share chunks."""
 _CELL_BYTES = 28
 """Memory per cell while a map is made and drawn: four numbers of 4 bytes, copies of some of them,
 and a pixel [bytes]."""
@@ -268,18 +265,18 @@ class CameraRun:
         about.warnings += log.description.warnings
         about.notes += log.description.notes
         executor = self.host.executor(log, self.memory)
-        about.workers, about.devices = executor.share.workers, executor.devices
+        about.workers, about.devices = executor.share.workers, self.memory.devices
         self.host.report(about, log.label, len(log.frames), "looking for the floor")
         planes = executor.find_planes()
         self.batch = executor.share.batch
+        about.ground = planes.records
+        about.warnings += planes.warnings
         plan = self._plan(log, min(executor.share.read, max(1, len(log.frames))), planes)
-        about.ground = plan.planes.records
-        about.warnings += plan.planes.warnings
         self._work(log, plan, executor)
         notes = self.assembly.finish(self.settings.observers)
         source = self.files.paths[0]
         source = str(source if len(self.files.paths) == 1 else source.parent)
-        given = self.settings.config, plan.planes, self.assembly.rows(), source
+        given = self.settings.config, planes, self.assembly.rows(), source
         body = own_body_note(log, *given)
         about.notes += [body] if body else []
         if self.settings.options.map:
@@ -293,8 +290,10 @@ class CameraRun:
     def _work(self, log: "Log", plan: LogPlan, executor: Executor) -> None:
         about, clock = self.about, Clock(self.about, executor.share.workers)
         count = len(log.frames)
+        most = UNIT_FRAMES if self.settings.options.backend == "jax" else plan.batch_size
+        units = divide(log.frames, plan.batch_size, executor.share.workers, most)
         self.host.report(about, log.label, count, "starting")
-        with closing(executor.work(plan)) as parts:
+        with closing(executor.work(plan, units)) as parts:
             for unit, part in parts:
                 self.assembly.add(unit, part)
                 clock.tick()
@@ -303,17 +302,11 @@ class CameraRun:
 
     def _plan(self, log: "Log", batch: int, planes: Planes) -> LogPlan:
         """Return the plan of the log, with ``batch`` frames at a time."""
-        settings, count = self.settings, self.settings.options.pictures
+        count = self.settings.options.pictures
         drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
-        backend = settings.options.backend
         return LogPlan(
-            settings=settings,
-            log=self.files.name,
-            camera=log.camera,
-            label=log.label,
-            frames=log.frames,
+            settings=self.settings,
             batch_size=batch,
-            sizes=_unit_sizes(len(log.frames), batch, self.about.workers, backend),
             planes=planes,
             drawn=frozenset(drawn.tolist()),
             folder=self.folder,
@@ -355,11 +348,3 @@ class CameraRun:
             about.warnings.append("no map: no frame's floor is known")
         else:
             about.warnings.append("no map: nothing was seen in the world")
-
-
-def _unit_sizes(frames: int, batch: int, workers: int, backend: BackendName) -> UnitSizes:
-    """Return sizes, multiples of ``batch``, of units that keep all workers busy to the end."""
-    most = UNIT_FRAMES if backend == "jax" else batch
-    batches = max(1, min(most, frames // (4 * workers)) // batch)
-    end_frames = workers * batches * batch if workers > 1 else 0
-    return UnitSizes(batches * batch, end_frames, max(1, batches // 4) * batch)

@@ -13,11 +13,10 @@ from jaxdet.engine.log_job import LogJob, LogTask
 from jaxdet.engine.options import RunOptions
 from jaxdet.engine.output import OutputFolder
 from jaxdet.engine.placement import Machine, OtherCameraError, logs_for_workers
-from jaxdet.engine.pool import Pool
+from jaxdet.engine.pool import Pool, TaskQueue
 from jaxdet.engine.process_log import process_log
 from jaxdet.engine.progress import Progress, ProgressCallback
 from jaxdet.engine.settings import RunSettings
-from jaxdet.engine.tasks import TaskQueue
 from jaxdet.errors import ConfigError, InputError, Interrupted, OutputError
 from jaxdet.io import LogFiles
 from jaxdet.results.publish import remove
@@ -138,8 +137,7 @@ class Scheduler:
         """Let each worker process whole logs; yield the logs' names with the answers."""
         self.pool.resize(self.machine.memory.workers)
         self.machine.workers = self.pool.count
-        given = self.machine.memory, len(self.pool.devices), self.pool.serving
-        job = LogJob(self.settings, *given)
+        job = LogJob(self.settings, self.machine.memory, self.pool.serving)
         tasks = [LogTask(log, self.output.staged(name)) for name, log in logs.items()]
         for task in tasks:
             remove(task.folder)  # left by a worker that was ended
