@@ -25,7 +25,7 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import executors, gpu, gpu_threads, pool, process_log, worker
+from jaxdet.engine import executors, gpu, pool, process_log, worker
 from jaxdet.engine.plan import UNIT_FRAMES, divide
 from jaxdet.engine.pool import TaskQueue
 from jaxdet.engine.slots import SLOTS, attached
@@ -375,12 +375,12 @@ def test_a_gpu_that_computes_for_workers_returns_equal_bytes(
 def test_memory_of_batches_is_bounded(width, height, batch_size, want):
     camera = Intrinsics(width, height, width, width, width / 2, height / 2)
     log: Any = SimpleNamespace(depth_shape=(height, width), calibration=Calibration(camera))
-    served = gpu_threads.served_for(log, Config(), batch_size, gpu_threads.PIECE_FRAMES, 2)
-    there = gpu_threads.GpuThreads(served, [], ["gpu"])
+    served = gpu.served_for(log, Config(), batch_size, gpu.PIECE_FRAMES, 2)
+    there = gpu.GpuThreads(served, [], ["gpu"])
     served = there.memory.served
     assert (served.frames, served.batch) == want
     depth_bytes, color_bytes, _ = served.sizes
-    most = max(gpu_threads.PIECE_BYTES + 8192, 2 * width * height)
+    most = max(gpu.PIECE_BYTES + 8192, 2 * width * height)
     assert depth_bytes + color_bytes <= most
     first, last = served.slots(attached(served.path))[:: 2 * SLOTS - 1]
     assert [one.shape for one in first.images] == [(want[0], height, width)]
@@ -398,8 +398,8 @@ def test_memory_of_batches_includes_colour_for_the_preset_paper():
         (Calibration(camera, wide, still), (50, 80, 3)),
     ):
         log: Any = SimpleNamespace(depth_shape=(48, 64), calibration=calibration)
-        served = gpu_threads.served_for(log, PRESETS["paper"], 3, gpu_threads.PIECE_FRAMES, 1)
-        there = gpu_threads.GpuThreads(served, [], ["gpu"])
+        served = gpu.served_for(log, PRESETS["paper"], 3, gpu.PIECE_FRAMES, 1)
+        there = gpu.GpuThreads(served, [], ["gpu"])
         served = there.memory.served
         for number, one in enumerate(served.slots(attached(served.path))):
             depth, color = one.images
@@ -445,7 +445,7 @@ def test_a_device_without_enough_memory_uses_smaller_batches(
 
     real = getattr(gpu.Gpu, step)
     monkeypatch.setattr(gpu.Gpu, step, limited)
-    monkeypatch.setattr(gpu_threads, "PIECE_FRAMES", 2)
+    monkeypatch.setattr(gpu, "PIECE_FRAMES", 2)
     with jax.default_device(jax.devices("cpu")[0]):
         summary = run(sim_logs[:1], tmp_path / "a", workers=2, batch_size=16, pictures=0)
     assert not summary.failed and not summary.logs[0].lost and tried[: len(sizes)] == sizes

@@ -14,7 +14,7 @@ from jaxdet.cli.settings import defaults
 from jaxdet.cli.spinner import SPINNER
 from jaxdet.cli.tell import tell
 from jaxdet.config import Config
-from jaxdet.engine.options import RunOptions
+from jaxdet.engine.settings import RunOptions
 from jaxdet.errors import ConfigError, Interrupted
 from jaxdet.fleet.place import is_url
 from jaxdet.io.options import LogOptions

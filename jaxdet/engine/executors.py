@@ -13,8 +13,7 @@ from jaxdet.engine.memory import Memory
 from jaxdet.engine.placement import Machine, Share
 from jaxdet.engine.plan import LogPlan, Unit, UnitQueue
 from jaxdet.engine.pool import Pool
-from jaxdet.engine.progress import Report
-from jaxdet.engine.settings import RunSettings
+from jaxdet.engine.settings import Report, RunSettings
 from jaxdet.engine.slots import Served
 from jaxdet.engine.startup import start_up
 from jaxdet.engine.unit import lost_unit, process_units

@@ -31,7 +31,7 @@ from jaxdet.results.summary import LogSummary, to_json
 from jaxdet.signals import stops_held_back
 
 if TYPE_CHECKING:
-    from jaxdet.engine.options import RunOptions
+    from jaxdet.engine.settings import RunOptions
     from jaxdet.io import LogFiles
 
 LOGGER = logging.getLogger("jaxdet")

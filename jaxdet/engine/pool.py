@@ -15,7 +15,7 @@ from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any
 
 from jaxdet.config import Config
-from jaxdet.engine.gpu_threads import GpuThreads, served_for
+from jaxdet.engine.gpu import GpuThreads, served_for
 from jaxdet.engine.plan import UnitQueue
 from jaxdet.engine.slots import GpuPipe, Served
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
@@ -32,7 +32,7 @@ WAITING = 2
 NO_PROGRESS_S = 600.0
 """Time without progress after which a worker counts as lost; compiling may take long [s]."""
 LOADED = [
-    *("jaxdet.engine.log_job", "jaxdet.io.opening", "jaxdet.stages._on_cpu"),
+    *("jaxdet.engine.process_log", "jaxdet.io.opening", "jaxdet.stages._on_cpu"),
     *("jaxdet_kernels.decode", "numpy.ma"),
 ]
 LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages.paper._detect"]
@@ -115,7 +115,7 @@ class Pool:
     """Worker processes; a context manager that ends them.
 
     On the CPU each worker does all steps of a unit. With GPUs, workers read images and make rows,
-    and this process computes for all of them, see :mod:`jaxdet.engine.gpu_threads`.
+    and this process computes for all of them, see :mod:`jaxdet.engine.gpu`.
 
     Workers start when they are first needed and stay for the next log. On Linux and macOS they are
     forked from a server that has loaded JAX and Warp once; elsewhere each worker loads them. If a
@@ -188,7 +188,7 @@ class Pool:
     ) -> Served:
         """Start the processes, and threads that compute logs like this one, unless they run.
 
-        The arguments are those of :func:`jaxdet.engine.gpu_threads.served_for`.
+        The arguments are those of :func:`jaxdet.engine.gpu.served_for`.
 
         Returns:
             Format of the frames that GPUs compute, see :attr:`serving`.

@@ -1,20 +1,25 @@
-"""Processing of a log, from its files to the folder of its results."""
+"""Processing of a log, from its files to the folder of its results, also by a single worker."""
 
-from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from jaxdet.engine.device import out_of_memory
-from jaxdet.engine.executors import Executor, Host
+from jaxdet.engine.executors import Executor, Host, InProcess
 from jaxdet.engine.floors import Planes, evenly
+from jaxdet.engine.memory import Memory
 from jaxdet.engine.own_body import own_body_note
+from jaxdet.engine.placement import OtherCameraError, share_of_worker
 from jaxdet.engine.plan import UNIT_FRAMES, LogPlan, divide
-from jaxdet.engine.progress import Clock
 from jaxdet.engine.settings import RunSettings
 from jaxdet.engine.unit_result import Assembly
+from jaxdet.engine.worker import WorkerProcess
 from jaxdet.errors import (
     CamerasError,
     ChunkMemoryError,
@@ -39,7 +44,9 @@ from jaxdet.results.versions import crash_report
 from jaxdet.results.writer import TableWriter, write_json
 
 if TYPE_CHECKING:
+    from jaxdet.engine.slots import Served
     from jaxdet.io import Log, LogFiles, LogOptions
+    from jaxdet.types import Calibration
 
 _CELL_BYTES = 28
 """Memory per cell while a map is made and drawn: four numbers of 4 bytes, copies of some of them,
@@ -288,7 +295,7 @@ class CameraRun:
         about.warnings += filter(None, own)
 
     def _work(self, log: "Log", plan: LogPlan, executor: Executor) -> None:
-        about, clock = self.about, Clock(self.about, executor.share.workers)
+        about, clock = self.about, _Clock(self.about, executor.share.workers)
         count = len(log.frames)
         most = UNIT_FRAMES if self.settings.options.backend == "jax" else plan.batch_size
         units = divide(log.frames, plan.batch_size, executor.share.workers, most)
@@ -348,3 +355,80 @@ class CameraRun:
             about.warnings.append("no map: no frame's floor is known")
         else:
             about.warnings.append("no map: nothing was seen in the world")
+
+
+@dataclass
+class _Clock:
+    """Clock of a log: it measures the time of the first units and the frame rate after them."""
+
+    about: LogSummary
+    workers: int
+    start: float = field(default_factory=time.perf_counter)
+    units: int = 0
+    first: int = 0
+    """Number of frames in the first unit of each worker."""
+
+    @property
+    def seconds(self) -> float:
+        """Time since the start [s]."""
+        return time.perf_counter() - self.start
+
+    def tick(self) -> None:
+        """Update the times after a unit, whose frames are already counted in ``about``."""
+        about, seconds = self.about, self.seconds
+        rest, self.units = about.frames - self.first, self.units + 1
+        if self.units <= self.workers:
+            self.first, about.first_batch_s = about.frames, seconds
+        elif rest >= 2 * self.first and seconds > about.first_batch_s:
+            about.frames_per_s = round(rest / (seconds - about.first_batch_s), 2)
+
+
+class LogTask(NamedTuple):
+    """A log for a worker."""
+
+    files: "LogFiles"
+    folder: Path
+    """New folder for its results."""
+
+
+class LogJob(NamedTuple):
+    """Job of whole logs; each worker processes one log at a time.
+
+    If a worker can't process a log, the first process tries it again, and reports the error if that
+    fails too.
+    """
+
+    settings: RunSettings
+    memory: Memory
+    """Memory of the run, of which each worker takes its share."""
+    served: "Served | None"
+    """Format of the frames that GPUs compute; None if workers compute."""
+
+    @contextmanager
+    def open(self, process: WorkerProcess) -> Iterator[Callable[[LogTask], Any]]:
+        """Return :meth:`process` for tasks."""
+        yield partial(self.process, process)
+
+    def process(
+        self, process: WorkerProcess, task: LogTask
+    ) -> "list[LogSummary] | Calibration | None":
+        """Write the results of a log, see :func:`process_log`.
+
+        Returns:
+            The summaries of its cameras; its calibration if GPUs compute for another camera; None
+            if the first process has to process the log.
+        """
+        try:
+            host = Host(self.memory, partial(self.executor, process), log_per_worker=True)
+            return process_log(self.settings, *task, host)
+        except OtherCameraError as error:
+            return error.calibration
+        except Exception:
+            return None
+
+    def executor(self, process: WorkerProcess, log: "Log", memory: Memory) -> InProcess:
+        """Return the executor of a worker, with its share of the memory."""
+        share = share_of_worker(self.settings, log, memory, self.served)
+        device = process.device(self.served, self.settings)
+        alive = process.report_progress
+        return InProcess(self.settings, log, share, device, alive)

@@ -7,8 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxdet.engine.detected import color_to_read, detected, timed
-from jaxdet.engine.device import Device, Found, method_frames
+from jaxdet.engine.device import (
+    Device,
+    Found,
+    color_to_read,
+    detected,
+    method_frames,
+    timed,
+)
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.startup import computing
 from jaxdet.engine.unit_result import UnitResult, rows_path

@@ -8,7 +8,7 @@ from functools import partial
 from os import PathLike
 from typing import Any
 
-from jaxdet.engine.progress import Progress, ProgressCallback
+from jaxdet.engine.settings import Progress, ProgressCallback
 from jaxdet.errors import ConfigError
 from jaxdet.fleet.logs import list_logs, share_of, size_of
 from jaxdet.fleet.place import address
