@@ -98,14 +98,7 @@ class InProcess:
 
 
 class InPool:
-    """Executor that divides the frames of a log among the workers of a pool.
-
-    Args:
-        settings: The run.
-        log: Open log.
-        share: Placement of its frames.
-        pool: The workers.
-    """
+    """Executor that divides the frames of an open log among the workers of a pool."""
 
     def __init__(self, settings: RunSettings, log: "Log", share: Share, pool: Pool) -> None:
         self.settings, self.log, self.share, self.pool = settings, log, share, pool

@@ -44,17 +44,6 @@ BATCHES_IN_FLIGHT = 5
 take as much memory as two."""
 
 
-class Needs(NamedTuple):
-    """Memory that a log needs [bytes]."""
-
-    frame: int
-    """Memory of the images of a frame."""
-    known: int
-    """Memory of the log's message index in each process."""
-    rows: int
-    """Memory of the table rows that are packed together in this process."""
-
-
 class MemoryPlan(NamedTuple):
     """Numbers of processes and frames for a log that fit into the memory."""
 
@@ -126,11 +115,15 @@ class Memory:
         given = self._asked, self.workers // 2, self.devices
         return Memory(*given, apart=self.apart, largest=self._largest)
 
-    def allot(self, needs: Needs, batch: int, workers: int, where: str) -> MemoryPlan:
+    def allot(
+        self, frame: int, index: int, rows: int, batch: int, workers: int, where: str
+    ) -> MemoryPlan:
         """Return the largest numbers of processes and frames that fit.
 
         Args:
-            needs: Memory that the log needs.
+            frame: Memory of the images of a frame [bytes].
+            index: Memory of the log's message index in each process [bytes].
+            rows: Memory of the table rows that are packed together in this process [bytes].
             batch: Largest number of frames computed together.
             workers: Largest number of processes.
             where: Name of the log, for the error.
@@ -141,13 +134,13 @@ class Memory:
         for count in range(min(workers, self.workers), 0, -1):
             left = self._left(count) - self.chunks
             # If there are workers, a copy of the index is made to be sent to them.
-            left -= (needs.known * (count + 1 + (count > 1)) + needs.rows) // count
+            left -= (index * (count + 1 + (count > 1)) + rows) // count
             size = batch
-            while size and BATCHES_IN_FLIGHT * size * needs.frame > left:
+            while size and BATCHES_IN_FLIGHT * size * frame > left:
                 size //= 2
             if size:
                 return MemoryPlan(count, size)
-        rest = BATCHES_IN_FLIGHT * needs.frame + 2 * needs.known + needs.rows
+        rest = BATCHES_IN_FLIGHT * frame + 2 * index + rows
         chunks = max(LEAST_CHUNKS, min(2 * self._largest, rest))  # half of the remaining memory
         least = size_text(self._fixed(1) + chunks + rest)
         problem = f"its images, index and rows need more memory than {size_text(self.total)}"

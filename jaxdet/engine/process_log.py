@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -54,14 +54,9 @@ and a pixel [bytes]."""
 REPORT = "report.txt"
 """Name of the crash report in the folder of a log that failed because of a bug in jaxdet."""
 
-Inputs = list[dict[str, Any]]
-
 
 def process_log(
-    settings: RunSettings,
-    files: "LogFiles",
-    folder: Path,
-    host: Host,
+    settings: RunSettings, files: "LogFiles", folder: Path, host: Host
 ) -> list[LogSummary]:
     """Write the results of a log into a new folder.
 
@@ -102,12 +97,17 @@ def process_log(
             for about in (one.about for one in done if one.about.description):
                 about.cameras_left_out = list(about.description.cameras_left_out)
         abouts = [one.about for one in cameras]
-        summary = Summary(settings.options.backend, max(one.batch for one in cameras), abouts)
-        summary.seconds = sum(about.seconds for about in abouts)
-        summary.workers = max(about.workers for about in abouts)
         about = {"log": files.name, "inputs": inputs, **settings.about}
         if done:
-            _write_results(folder, settings, summary, done, about)
+            summary = Summary(
+                settings.options.backend,
+                batch_size=max(one.batch for one in cameras),
+                logs=abouts,
+                seconds=sum(about.seconds for about in abouts),
+                workers=max(about.workers for about in abouts),
+            )
+            config = {**settings.record["config"], "batch_size": summary.batch_size}
+            _write_results(folder, config, summary.to_dict(), done, about)
         else:
             remove(folder / "pictures")
             write_failure(folder, about, abouts)
@@ -117,13 +117,7 @@ def process_log(
 
 
 def write_failure(folder: Path, about: dict[str, Any], logs: list[LogSummary]) -> None:
-    """Write ``failed.json``.
-
-    Args:
-        folder: Folder of the log.
-        about: Versions, digest of the configuration, name and inputs.
-        logs: Summaries of its cameras.
-    """
+    """Write ``failed.json`` with the manifest's entries ``about`` and the cameras' summaries."""
     reason = "; ".join(log.error for log in logs if log.error)
     content = {"reason": reason, "attempts": 1, **about, "logs": [log.to_dict() for log in logs]}
     write_json(folder / FAILED, content)
@@ -131,16 +125,12 @@ def write_failure(folder: Path, about: dict[str, Any], logs: list[LogSummary]) -
 
 def _write_results(
     folder: Path,
-    settings: RunSettings,
-    summary: Summary,
+    config: dict[str, Any],
+    summary: dict[str, Any],
     cameras: list["CameraRun"],
     about: dict[str, Any],
 ) -> None:
     """Write tables, JSON files and the manifest."""
-    content, config = (
-        summary.to_dict(),
-        {**settings.record["config"], "batch_size": summary.batch_size},
-    )
     with TableWriter(folder) as writer:
         try:
             for one in cameras:
@@ -149,9 +139,9 @@ def _write_results(
         except MemoryError as error:
             problem, remedy = "no memory for its rows", "end other programs"
             raise OutputError(problem, path=str(folder), remedy=remedy) from error
-        writer.close(config, content)
+        writer.close(config, summary)
     write_json(folder / CONFIG, config)
-    write_json(folder / SUMMARY, content)
+    write_json(folder / SUMMARY, summary)
     with writing(folder):
         write_manifest(folder, about)
 
@@ -164,7 +154,7 @@ class CameraRun:
     files: "LogFiles"
     folder: Path
     host: Host
-    inputs: Inputs
+    inputs: list[dict[str, Any]]
     """Fingerprints of the log's files."""
     camera: str = ""
     """Name of the camera if the log has several."""
@@ -226,7 +216,11 @@ class CameraRun:
         """Run; retry by scanning if the index is wrong, with fewer workers if chunks are large."""
         while True:
             try:
-                self._open_and_run(options)
+                label = ", ".join(filter(None, (self.files.name, self.camera)))
+                self.host.report(self.about, label, 0, "opening")
+                with open_log(self.files, options, self.memory.reading) as log:
+                    self._check_unchanged()  # later changes are noticed by the open log
+                    self._run(log)
                 return
             except RescanError:
                 if options.scan:
@@ -239,13 +233,6 @@ class CameraRun:
                 self.memory = fewer
             self.assembly.close()
             self._begin()
-
-    def _open_and_run(self, options: "LogOptions") -> None:
-        camera = f", {self.camera}" if self.camera else ""
-        self.host.report(self.about, f"{self.files.name}{camera}", 0, "opening")
-        with open_log(self.files, options, self.memory.reading) as log:
-            self._check_unchanged()  # later changes are noticed by the open log
-            self._run(log)
 
     def _check_unchanged(self) -> None:
         """Check that the files are those whose fingerprints the manifest has.
@@ -281,10 +268,9 @@ class CameraRun:
         plan = self._plan(log, min(executor.share.read, max(1, len(log.frames))), planes)
         self._work(log, plan, executor)
         notes = self.assembly.finish(self.settings.observers)
-        source = self.files.paths[0]
-        source = str(source if len(self.files.paths) == 1 else source.parent)
-        given = self.settings.config, planes, self.assembly.rows(), source
-        body = own_body_note(log, *given)
+        source, *splits = self.files.paths
+        source = str(source.parent if splits else source)
+        body = own_body_note(log, self.settings.config, planes, self.assembly.rows(), source)
         about.notes += [body] if body else []
         if self.settings.options.map:
             self._write_map(self.assembly.map, log)
@@ -293,19 +279,6 @@ class CameraRun:
         about.warnings += about.description.warnings[before:]
         own = about.color_warning, about.depth_warning, about.floor_warning, about.tilt_warning
         about.warnings += filter(None, own)
-
-    def _work(self, log: "Log", plan: LogPlan, executor: Executor) -> None:
-        about, clock = self.about, _Clock(self.about, executor.share.workers)
-        count = len(log.frames)
-        most = UNIT_FRAMES if self.settings.options.backend == "jax" else plan.batch_size
-        units = divide(log.frames, plan.batch_size, executor.share.workers, most)
-        self.host.report(about, log.label, count, "starting")
-        with closing(executor.work(plan, units)) as parts:
-            for unit, part in parts:
-                self.assembly.add(unit, part)
-                clock.tick()
-                self.host.report(about, log.label, count, "")
-        about.seconds = clock.seconds
 
     def _plan(self, log: "Log", batch: int, planes: Planes) -> LogPlan:
         """Return the plan of the log, with ``batch`` frames at a time."""
@@ -320,6 +293,25 @@ class CameraRun:
             scratch=self.scratch,
             picture=self._prefix,
         )
+
+    def _work(self, log: "Log", plan: LogPlan, executor: Executor) -> None:
+        """Process all units of the log, and collect their results."""
+        about, workers, count = self.about, executor.share.workers, len(log.frames)
+        most = UNIT_FRAMES if self.settings.options.backend == "jax" else plan.batch_size
+        units = divide(log.frames, plan.batch_size, workers, most)
+        start, first = time.perf_counter(), 0
+        self.host.report(about, log.label, count, "starting")
+        with closing(executor.work(plan, units)) as parts:
+            for number, (unit, part) in enumerate(parts, 1):
+                self.assembly.add(unit, part)
+                seconds = time.perf_counter() - start
+                if number <= workers:  # the first unit of a worker takes longer, as it compiles
+                    first, about.first_batch_s = about.frames, seconds
+                elif about.frames >= 3 * first and seconds > about.first_batch_s:
+                    rate = (about.frames - first) / (seconds - about.first_batch_s)
+                    about.frames_per_s = round(rate, 2)
+                self.host.report(about, log.label, count, "")
+        about.seconds = time.perf_counter() - start
 
     def _write_map(self, occupancy: OccupancyMap, log: "Log") -> None:
         """Write the map, or record why the log has no map."""
@@ -355,32 +347,6 @@ class CameraRun:
             about.warnings.append("no map: no frame's floor is known")
         else:
             about.warnings.append("no map: nothing was seen in the world")
-
-
-@dataclass
-class _Clock:
-    """Clock of a log: it measures the time of the first units and the frame rate after them."""
-
-    about: LogSummary
-    workers: int
-    start: float = field(default_factory=time.perf_counter)
-    units: int = 0
-    first: int = 0
-    """Number of frames in the first unit of each worker."""
-
-    @property
-    def seconds(self) -> float:
-        """Time since the start [s]."""
-        return time.perf_counter() - self.start
-
-    def tick(self) -> None:
-        """Update the times after a unit, whose frames are already counted in ``about``."""
-        about, seconds = self.about, self.seconds
-        rest, self.units = about.frames - self.first, self.units + 1
-        if self.units <= self.workers:
-            self.first, about.first_batch_s = about.frames, seconds
-        elif rest >= 2 * self.first and seconds > about.first_batch_s:
-            about.frames_per_s = round(rest / (seconds - about.first_batch_s), 2)
 
 
 class LogTask(NamedTuple):

@@ -31,15 +31,7 @@ def run_logs(
     pool: Pool,
     progress: ProgressCallback | None,
 ) -> Summary:
-    """Process all logs of a run that are not done yet.
-
-    Args:
-        settings: Settings of the run.
-        logs: Logs of the run.
-        place: Folder for the results.
-        pool: Worker processes.
-        progress: Called after each unit and each log.
-    """
+    """Process all logs of a run that are not done yet, and write their results to ``place``."""
     start, options, machine = time.perf_counter(), settings.options, None
     with OutputFolder(place, settings.record, options) as output:
         done = output.begin(logs)
@@ -172,11 +164,23 @@ class Scheduler:
         stands = doing or f"{about.frames} of {total} frames"
         LOGGER.debug("%s: %s", label, stands)
         if self.progress:
-            state = about.frames, total, about.num_bad, about.frames_per_s, about.bottleneck
-            number, count = self.numbers[about.log], len(self.logs)
             failed = sum(any(one.error for one in done) for done in self.done.values())
-            logs = len(self.done), failed
-            self.progress(Progress(label, number, count, *state, about.rates, doing, *logs))
+            self.progress(
+                Progress(
+                    log=label,
+                    log_number=self.numbers[about.log],
+                    num_logs=len(self.logs),
+                    done=about.frames,
+                    total=total,
+                    bad=about.num_bad,
+                    frames_per_s=about.frames_per_s,
+                    bottleneck=about.bottleneck,
+                    rates=about.rates,
+                    doing=doing,
+                    logs_done=len(self.done),
+                    logs_failed=failed,
+                )
+            )
 
     def _check_there(self, failed: LogFiles) -> None:
         """Check that the disk of a log that failed is still available.
@@ -211,10 +215,8 @@ def make_summary(
     """
     batch = machine.batch if machine else settings.options.batch_size or 0
     seconds = time.perf_counter() - start
-    summary = Summary(settings.options.backend, batch, logs, seconds, kept=kept)
-    shared = machine.workers if machine else 1
-    summary.workers = max([shared, *(log.workers for log in logs)])
-    return summary
+    workers = max([machine.workers if machine else 1, *(log.workers for log in logs)])
+    return Summary(settings.options.backend, batch, logs, seconds, workers, kept)
 
 
 def _gone(log: LogFiles) -> bool:
