@@ -1,6 +1,6 @@
 """Executors of a log's frames: one process, or the workers of a pool together."""
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from jaxdet.config import Config
 from jaxdet.engine.device import Device, OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes
+from jaxdet.engine.gpu import served_for
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.placement import Machine, Share
 from jaxdet.engine.plan import LogPlan, Unit, UnitQueue
@@ -17,7 +18,7 @@ from jaxdet.engine.settings import Report, RunSettings
 from jaxdet.engine.slots import Served
 from jaxdet.engine.startup import start_up
 from jaxdet.engine.unit import lost_unit, process_units
-from jaxdet.engine.unit_result import UnitResult
+from jaxdet.engine.unit_result import UnitResult, UnitResults
 from jaxdet.engine.worker import Failure, Lost, WorkerProcess
 from jaxdet.pipeline import BackendName
 
@@ -35,9 +36,7 @@ class Executor(Protocol):
         """Start processes that don't run yet, and return the priors of the floors."""
         ...
 
-    def work(
-        self, plan: LogPlan, units: Sequence[Unit]
-    ) -> Generator[tuple[Unit, UnitResult], None, None]:
+    def work(self, plan: LogPlan, units: Sequence[Unit]) -> UnitResults:
         """Yield the units with their results, in any order."""
         ...
 
@@ -90,9 +89,7 @@ class InProcess:
         config, backend = self.settings.config, self.settings.options.backend
         return decide_planes(self.log, config, backend, None, self.share.read, self.alive)
 
-    def work(
-        self, plan: LogPlan, units: Sequence[Unit]
-    ) -> Generator[tuple[Unit, UnitResult], None, None]:
+    def work(self, plan: LogPlan, units: Sequence[Unit]) -> UnitResults:
         """Work through the units in order."""
         return process_units(self.log, plan, self.device, units, self.alive)
 
@@ -118,9 +115,7 @@ class InPool:
             raise found.as_raised(where)
         return found
 
-    def work(
-        self, plan: LogPlan, units: Sequence[Unit]
-    ) -> Generator[tuple[Unit, UnitResult], None, None]:
+    def work(self, plan: LogPlan, units: Sequence[Unit]) -> UnitResults:
         """Let the workers process the units.
 
         If the worker of a unit is lost, the unit is tried once more, while no other unit is
@@ -161,8 +156,8 @@ class InPool:
         """Let GPUs compute for workers; return the format of the frames, or None without GPUs."""
         if not self.pool.devices:
             return None
-        config, batch_size = self.settings.config, self.settings.options.batch_size
-        return self.pool.serve(self.log, config, batch_size, self.share.read)
+        given = self.settings.config, self.settings.options.batch_size, self.share.read
+        return self.pool.serve(served_for(self.log, *given, self.pool.count))
 
 
 class FloorJob(NamedTuple):

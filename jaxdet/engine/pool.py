@@ -12,10 +12,9 @@ from functools import cached_property
 from itertools import chain
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from jaxdet.config import Config
-from jaxdet.engine.gpu import GpuThreads, served_for
+from jaxdet.engine.gpu import GpuThreads
 from jaxdet.engine.plan import UnitQueue
 from jaxdet.engine.slots import GpuPipe, Served
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
@@ -23,9 +22,6 @@ from jaxdet.engine.worker import Failure, Job, Lost, Worker
 from jaxdet.errors import FrameStatus, WorkerStartError
 from jaxdet.pipeline import BackendName
 from jaxdet.signals import STOPS, stops_held_back
-
-if TYPE_CHECKING:
-    from jaxdet.io import Log
 
 WAITING = 2
 """Maximum number of tasks assigned to a worker: the current one and the next."""
@@ -139,11 +135,9 @@ class Pool:
         self._ended, self._started = threading.Event(), threading.Event()
 
     def __enter__(self) -> "Pool":
-        """Return the pool."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the processes at once."""
         self.close()
 
     @cached_property
@@ -183,21 +177,16 @@ class Pool:
             self.close()
             self.count = count
 
-    def serve(
-        self, log: "Log", config: Config, batch_size: int | None, piece_frames: int
-    ) -> Served:
-        """Start the processes, and threads that compute logs like this one, unless they run.
-
-        The arguments are those of :func:`jaxdet.engine.gpu.served_for`.
+    def serve(self, wanted: Served) -> Served:
+        """Start the processes, and threads that compute frames of this format, unless they run.
 
         Returns:
-            Format of the frames that GPUs compute, see :attr:`serving`.
+            The format with the memory of the frames, see :attr:`serving`.
 
         Raises:
             WorkerError: There is too little memory.
         """
         self.start()
-        wanted = served_for(log, config, batch_size, piece_frames, self.count)
         if self._gpus is None or self._gpus.wanted != wanted:
             self._end_gpus()
             self._gpus = GpuThreads(wanted, [ours for ours, _ in self._pipes], self.devices)

@@ -1,7 +1,7 @@
 """Processing of a unit: a range of a log's frames is read, computed and converted to rows."""
 
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from jaxdet.engine.device import (
 )
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.startup import computing
-from jaxdet.engine.unit_result import UnitResult, rows_path
+from jaxdet.engine.unit_result import UnitResult, UnitResults, rows_path
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import join_planes
 from jaxdet.pipeline import detect_on_cpu
@@ -46,7 +46,7 @@ def process_units(
     device: Device,
     units: Iterable[Unit],
     batch_done: Callable[[], object],
-) -> Generator[tuple[Unit, UnitResult], None, None]:
+) -> UnitResults:
     """Yield units of an open log with their results, in order.
 
     Args:

@@ -1,7 +1,7 @@
 """Results of units, and their assembly into the tables, map and summary of a log."""
 
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -37,6 +37,10 @@ class UnitResult(NamedTuple):
     """Notes of the log reader on the unit's frames."""
     lost: str = ""
     """Reason why the frames have no results, if the processes that worked on the unit were lost."""
+
+
+UnitResults = Generator[tuple[Unit, UnitResult], None, None]
+"""Units with their results."""
 
 
 def rows_path(scratch: Path, unit: Unit) -> Path:
