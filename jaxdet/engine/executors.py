@@ -52,12 +52,12 @@ class Host:
     report: Report = lambda *_: None
     """Called with the progress of the log."""
     log_per_worker: bool = False
-    """Whether each process of the run works on a log of its own: then errors are raised, also that
-    of a log that doesn't fit into this process's share of the memory."""
+    """Whether each process of the run works on a log of its own. If so, errors are raised, not
+    recorded, including that of a log that exceeds this process's share of the memory."""
 
 
 def first_process(machine: Machine, report: Report = lambda *_: None) -> Host:
-    """Return the first process of a run, which works on a log itself or lets all workers do it."""
+    """Return the first process of a run: it processes a log itself, or divides it among workers."""
 
     def executor(log: "Log", memory: Memory) -> Executor:
         settings, share = machine.settings, machine.share_of_all(log, memory)
@@ -120,7 +120,7 @@ class InPool:
 
         If the worker of a unit is lost, the unit is tried once more, while no other unit is
         processed and, if workers compute, in smaller batches. If a worker is lost again, the status
-        of the unit's frames says so.
+        of the unit's frames reports it.
         """
         todo, failure = UnitQueue(units, self.pool.count), None
         while todo and not failure:

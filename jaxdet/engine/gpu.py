@@ -3,7 +3,7 @@
 Workers decode images into slots of memory that they share with this process::
 
     worker 1 ...  decode > slot ---Piece--+
-                                          |  as many pieces as there are, at most a batch
+                                          |  all pieces that wait, at most a batch
     a thread per GPU           Gpu.copy  >  Gpu.start  >  Gpu.finish
                                batch 3      batch 2       batch 1, at the same time
                                                             |

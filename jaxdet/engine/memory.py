@@ -57,7 +57,7 @@ class Memory:
     """Memory of a run.
 
     Args:
-        asked: Requested memory, the value of ``--memory``; by default ``SHARE`` of the machine's.
+        requested: Value of ``--memory``; by default ``SHARE`` of the memory of the machine.
         workers: Maximum number of processes.
         devices: Number of GPUs.
         apart: Whether this process leaves all logs to workers, even to a single one, if there is
@@ -70,32 +70,32 @@ class Memory:
         workers: Number of processes that fit, at most the argument ``workers``.
         chunks: Memory for chunks in each process [bytes].
         reading: Limits for reading a log.
-        room: Memory besides that of libraries and programs [bytes].
+        room: Memory in addition to that of libraries and programs [bytes].
         apart: Whether a single worker runs in addition to this process, not instead of it.
 
     Raises:
-        ConfigError: ``asked`` is too little for any log.
+        ConfigError: ``requested`` is too little for any log.
     """
 
     def __init__(
         self,
-        asked: str | None,
+        requested: str | None,
         workers: int,
         devices: int = 0,
         *,
         apart: bool = False,
         largest: int = LogOptions.max_chunk_mib * MIB,
     ) -> None:
-        self._asked, self.devices, self.apart = asked, devices, False
+        self._requested, self.devices, self.apart = requested, devices, False
         self._largest = largest
         least = self._fixed(1) + LEAST_CHUNKS + LEAST_IMAGES
-        if asked is None:
+        if requested is None:
             self.total = max(least, int(SHARE * machine_memory()))
         else:
-            self.total = parse_size(asked, "--memory")
+            self.total = parse_size(requested, "--memory")
         if self.total < least:
             remedy = f"give --memory {size_text(least)} or more"
-            raise ConfigError(f"--memory {asked} is too little for any log", remedy=remedy)
+            raise ConfigError(f"--memory {requested} is too little for any log", remedy=remedy)
         self.apart = apart and self.total >= PARENT + WORKER + LEAST_CHUNKS + LEAST_IMAGES
         fitting = [n for n in range(2, workers + 1) if self._left(n) >= LEAST_CHUNKS + LEAST_IMAGES]
         self.workers = max([1, *fitting])
@@ -112,7 +112,7 @@ class Memory:
         """
         if self.workers == 1:
             return None
-        given = self._asked, self.workers // 2, self.devices
+        given = self._requested, self.workers // 2, self.devices
         return Memory(*given, apart=self.apart, largest=self._largest)
 
     def allot(

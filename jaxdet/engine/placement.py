@@ -165,7 +165,7 @@ def _size(path: Path) -> int:
 
 
 def smallest_logs(sizes: Mapping[str, int], workers: int) -> set[str]:
-    """Return the smallest logs, as many as one worker each can process until all logs are done.
+    """Return the smallest logs, as many as single workers can process until all logs are done.
 
     If all workers share the other logs afterwards, all logs are done soonest.
 
@@ -188,7 +188,7 @@ def smallest_logs(sizes: Mapping[str, int], workers: int) -> set[str]:
 def memory_plan(
     settings: RunSettings, log: "Log", memory: Memory, workers: int, packing: int = 1
 ) -> MemoryPlan:
-    """Return how many processes and frames at a time fit into the memory.
+    """Return how many processes, and how many frames per batch, fit into the memory.
 
     Args:
         settings: Settings of the run.

@@ -5,6 +5,7 @@ import os
 import signal
 import time
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
@@ -65,29 +66,21 @@ def _standing(done: Collection[str], logs: Sequence[LogFiles], options: RunOptio
     return f"{some}; the same command{but} goes on"
 
 
+@dataclass
 class Scheduler:
-    """Processes the logs of a run and moves their results to the output folder.
+    """Processes the logs of a run and moves their results to the output folder."""
 
-    Args:
-        machine: Memory and processes.
-        logs: All logs of the run.
-        output: Folder of the results.
-        done: Summaries of the cameras of logs that are done, by the logs' names; logs are added.
-        progress: Called after each unit and each log.
-    """
+    machine: Machine
+    logs: Sequence[LogFiles]
+    """All logs of the run."""
+    output: OutputFolder
+    done: dict[str, list[LogSummary]]
+    """Summaries of the cameras of logs that are done, by the logs' names; logs are added."""
+    progress: ProgressCallback | None
 
-    def __init__(
-        self,
-        machine: Machine,
-        logs: Sequence[LogFiles],
-        output: OutputFolder,
-        done: dict[str, list[LogSummary]],
-        progress: ProgressCallback | None,
-    ) -> None:
-        self.machine, self.settings, self.pool = machine, machine.settings, machine.pool
-        self.logs, self.output, self.done = logs, output, done
-        self.progress = progress
-        self.numbers = {log.name: number for number, log in enumerate(logs)}
+    def __post_init__(self) -> None:
+        self.settings, self.pool = self.machine.settings, self.machine.pool
+        self.numbers = {log.name: number for number, log in enumerate(self.logs)}
 
     def run(self, left: dict[str, LogFiles]) -> None:
         """Process logs: small ones one per worker, then the others, each by all workers.
