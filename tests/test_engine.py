@@ -154,7 +154,9 @@ def fake_logs(
     def fake_open(files: LogFiles, options: LogOptions, memory: ReadMemory) -> FakeLog:
         if files.name == "broken":
             raise InputError("not an MCAP file", path="broken.mcap")
-        return FakeLog()
+        log = FakeLog()
+        log.name = log.label = files.name
+        return log
 
     monkeypatch.setattr(process_log, "open_log", fake_open)
     folder, names = tmp_path_factory.mktemp("fake"), ("fake", "broken", "a/b")

@@ -25,7 +25,6 @@ from jaxdet.engine.memory import (
     WORKER,
     Memory,
     MemoryPlan,
-    Needs,
 )
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.io import LogOptions, open_log
@@ -97,20 +96,18 @@ def test_limits_of_control_groups_are_used(tmp_path, monkeypatch, groups, files,
     assert machine_memory() == min(expected or 1 << 60, int(without) << 10)
 
 
-def used(memory: Memory, allotted: MemoryPlan, needs: Needs) -> int:
+def used(memory: Memory, allotted: MemoryPlan, frame: int, index: int, rows: int) -> int:
     """Compute the memory of a plan independently, from the constants of the module."""
     processes = ALONE if allotted.workers == 1 else PARENT + allotted.workers * WORKER
-    images = 5 * allotted.batch * needs.frame
+    images = 5 * allotted.batch * frame
     all_images = allotted.workers * (images + memory.chunks)
     copies = 1 + allotted.workers + (allotted.workers > 1)
-    return processes + all_images + needs.known * copies + needs.rows
+    return processes + all_images + index * copies + rows
 
 
 @given(
     total=st.integers(704, 40_000),
-    needs=st.builds(
-        Needs, st.integers(1, 200 * MIB), st.integers(0, 2 * GIB), st.integers(0, 2 * GIB)
-    ),
+    needs=st.tuples(st.integers(1, 200 * MIB), st.integers(0, 2 * GIB), st.integers(0, 2 * GIB)),
     batch=st.integers(1, 300),
     workers=st.integers(1, 40),
 )
@@ -118,23 +115,23 @@ def test_the_plan_never_exceeds_the_memory(total, needs, batch, workers):
     memory = Memory(f"{total}MiB", workers)
     assert 1 <= memory.workers <= workers
     try:
-        allotted = memory.allot(needs, batch, workers, "a")
+        allotted = memory.allot(*needs, batch, workers, "a")
     except InputError as error:
         least = re.search(r"give --memory (\d+MiB) or more", str(error))
         assert least
         more = Memory(least[1], workers)
         assert more.total > memory.total
-        assert more.allot(needs, batch, workers, "a").batch
+        assert more.allot(*needs, batch, workers, "a").batch
         return
     assert 1 <= allotted.workers <= memory.workers and 1 <= allotted.batch <= batch
-    assert used(memory, allotted, needs) <= memory.total
+    assert used(memory, allotted, *needs) <= memory.total
 
 
 def test_enough_memory_keeps_all_workers_and_the_batch():
     memory = Memory("64GiB", 16)
-    needs = Needs(FRAME, 10 * MIB, TABLES)
-    assert memory.allot(needs, BATCH, 16, "a") == (16, BATCH)
-    assert memory.allot(needs, BATCH, 1, "a") == (1, BATCH)
+    needs = FRAME, 10 * MIB, TABLES
+    assert memory.allot(*needs, BATCH, 16, "a") == (16, BATCH)
+    assert memory.allot(*needs, BATCH, 1, "a") == (1, BATCH)
     assert memory.reading.chunk == 256 * MIB
 
 
@@ -142,7 +139,7 @@ def test_less_memory_reduces_workers_first_and_batches_second():
     found = []
     for size in ("8GiB", "4GiB", "2GiB", "1GiB", "800MiB"):
         memory = Memory(size, 8)
-        allotted = memory.allot(Needs(FRAME, 0, 0), BATCH, memory.workers, "a")
+        allotted = memory.allot(FRAME, 0, 0, BATCH, memory.workers, "a")
         found.append((allotted.workers, allotted.batch))
     assert found == sorted(found, reverse=True) and len(set(found)) > 3
     assert found[0][0] == 8 and found[-1][0] == 1

@@ -5,10 +5,9 @@ from itertools import pairwise
 
 import pytest
 
-from jaxdet.engine.plan import Unit, UnitSizes, units_of
-from jaxdet.engine.tasks import UnitQueue
+from jaxdet.engine.plan import Unit, UnitQueue, divide
 
-UNITS = list(units_of(range(1000), UnitSizes(32, 128, 8)))
+UNITS = divide(range(1000), 8, 7)  # of 32 frames, at the end of 8
 
 
 def taken(queue: UnitQueue, workers: list[int]) -> dict[int, list[Unit]]:

@@ -25,10 +25,10 @@ import pytest
 from jaxdet import engine
 from jaxdet.cli.truth import TruthScore
 from jaxdet.config import Config, GroundConfig
-from jaxdet.engine import executors, gpu, gpu_threads, pool, process_log, worker
-from jaxdet.engine.plan import LogPlan
+from jaxdet.engine import executors, gpu, pool, process_log, worker
+from jaxdet.engine.plan import UNIT_FRAMES, divide
+from jaxdet.engine.pool import TaskQueue
 from jaxdet.engine.slots import SLOTS, attached
-from jaxdet.engine.tasks import TaskQueue
 from jaxdet.engine.worker import WorkerProcess
 from jaxdet.errors import (
     ConfigError,
@@ -314,23 +314,26 @@ def test_tasks_go_to_idle_workers():
 
 
 def test_units_keep_all_workers_busy():
-    most = process_log.UNIT_FRAMES
-    assert process_log._unit_sizes(10**6, 16, 8, "jax") == (most, 8 * most, most // 4)
-    assert process_log._unit_sizes(600, 16, 8, "jax") == (16, 8 * 16, 16)
-    assert process_log._unit_sizes(3, 16, 1, "jax") == (16, 0, 16)
-    assert process_log._unit_sizes(10**6, 16, 8, "reference") == (16, 8 * 16, 16)
+    def sizes(frames: int, workers: int, most: int = UNIT_FRAMES) -> list[int]:
+        return [unit.stop - unit.start for unit in divide(range(frames), 16, workers, most)]
+
+    many = sizes(10**6, 8)
+    assert many[0] == UNIT_FRAMES and many.count(UNIT_FRAMES // 4) >= 4 * 8
+    assert set(many[many.index(UNIT_FRAMES // 4) : -1]) == {UNIT_FRAMES // 4}
+    assert sizes(600, 8) == [*[16] * 37, 8]
+    assert sizes(3, 1) == [3]
+    assert set(sizes(10**6, 8, 16)) == {16}
 
 
 @pytest.mark.parametrize("frames", [range(1), range(5, 900, 3), range(20_040)])
 @pytest.mark.parametrize("workers", [1, 2, 15])
 def test_units_contain_each_frame_once(frames, workers):
-    sizes = process_log._unit_sizes(len(frames), 16, workers, "jax")
-    plan: Any = SimpleNamespace(frames=frames, sizes=sizes)
-    units = list(LogPlan.units(plan))
+    units = divide(frames, 16, workers)
     held = [number for unit in units for number in frames if unit.start <= number < unit.stop]
     assert held == list(frames) and [unit.number for unit in units] == list(range(len(units)))
     if len(units) > 4 * workers > 4:
-        small = [unit for unit in units if len(range(*unit[1:], frames.step)) <= sizes.end_size]
+        counts = [len(range(unit.start, unit.stop, frames.step)) for unit in units]
+        small = [unit for unit, count in zip(units, counts, strict=True) if count < counts[0]]
         assert len(small) >= workers and units[-len(small) :] == small
 
 
@@ -372,12 +375,12 @@ def test_a_gpu_that_computes_for_workers_returns_equal_bytes(
 def test_memory_of_batches_is_bounded(width, height, batch_size, want):
     camera = Intrinsics(width, height, width, width, width / 2, height / 2)
     log: Any = SimpleNamespace(depth_shape=(height, width), calibration=Calibration(camera))
-    served = gpu_threads.served_for(log, Config(), batch_size, gpu_threads.PIECE_FRAMES, 2)
-    there = gpu_threads.GpuThreads(served, [], ["gpu"])
+    served = gpu.served_for(log, Config(), batch_size, gpu.PIECE_FRAMES, 2)
+    there = gpu.GpuThreads(served, [], ["gpu"])
     served = there.memory.served
     assert (served.frames, served.batch) == want
     depth_bytes, color_bytes, _ = served.sizes
-    most = max(gpu_threads.PIECE_BYTES + 8192, 2 * width * height)
+    most = max(gpu.PIECE_BYTES + 8192, 2 * width * height)
     assert depth_bytes + color_bytes <= most
     first, last = served.slots(attached(served.path))[:: 2 * SLOTS - 1]
     assert [one.shape for one in first.images] == [(want[0], height, width)]
@@ -395,8 +398,8 @@ def test_memory_of_batches_includes_colour_for_the_preset_paper():
         (Calibration(camera, wide, still), (50, 80, 3)),
     ):
         log: Any = SimpleNamespace(depth_shape=(48, 64), calibration=calibration)
-        served = gpu_threads.served_for(log, PRESETS["paper"], 3, gpu_threads.PIECE_FRAMES, 1)
-        there = gpu_threads.GpuThreads(served, [], ["gpu"])
+        served = gpu.served_for(log, PRESETS["paper"], 3, gpu.PIECE_FRAMES, 1)
+        there = gpu.GpuThreads(served, [], ["gpu"])
         served = there.memory.served
         for number, one in enumerate(served.slots(attached(served.path))):
             depth, color = one.images
@@ -442,7 +445,7 @@ def test_a_device_without_enough_memory_uses_smaller_batches(
 
     real = getattr(gpu.Gpu, step)
     monkeypatch.setattr(gpu.Gpu, step, limited)
-    monkeypatch.setattr(gpu_threads, "PIECE_FRAMES", 2)
+    monkeypatch.setattr(gpu, "PIECE_FRAMES", 2)
     with jax.default_device(jax.devices("cpu")[0]):
         summary = run(sim_logs[:1], tmp_path / "a", workers=2, batch_size=16, pictures=0)
     assert not summary.failed and not summary.logs[0].lost and tried[: len(sizes)] == sizes

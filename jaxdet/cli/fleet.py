@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxdet.cli.terminal import tell
-from jaxdet.engine.options import RunOptions
+from jaxdet.engine.settings import RunOptions
 from jaxdet.memory import parse_size
 
 STATES = ("done", "there", "failed", "replaced")

@@ -11,7 +11,7 @@ from jaxdet.cli.fleet import FleetOptions, run_on_machines
 from jaxdet.cli.report import summary_lines
 from jaxdet.cli.terminal import LOGGER, SPINNER, show_log, tell
 from jaxdet.config import Config
-from jaxdet.engine.options import RunOptions
+from jaxdet.engine.settings import RunOptions
 from jaxdet.errors import ConfigError, Interrupted
 from jaxdet.fleet.place import is_url
 from jaxdet.io.options import LogOptions

@@ -253,8 +253,7 @@ class Detector:
             RescanError: The log contradicts its index.
         """
         remedy = "create it with Detector.from_log"
-        from jaxdet.engine.detected import color_to_read, detected
-        from jaxdet.engine.device import OwnDevice
+        from jaxdet.engine.device import OwnDevice, color_to_read, detected
         from jaxdet.io import Log
 
         if self._log is None or self._planes is None:

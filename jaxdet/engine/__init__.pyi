@@ -14,9 +14,6 @@ __all__ = [
 ]
 
 from .floors import GroundRecord, Planes, decide_planes
-from .options import RunOptions
-from .progress import Progress, ProgressCallback
-from .runner import Runner, run
-from .settings import Observer
-from .single_log import run_one
+from .runner import Runner, run, run_one
+from .settings import Observer, Progress, ProgressCallback, RunOptions
 from .startup import start_up, use_caches

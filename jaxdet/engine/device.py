@@ -1,13 +1,20 @@
-"""Devices that find the obstacles of a batch: this process, or the GPUs of the main process."""
+"""Detection of the obstacles in batches of frames, for runs, exports, checks and the detector.
 
-from collections.abc import Callable, Mapping
+A batch is computed by a :class:`Device`: this process (:class:`OwnDevice`), or the GPUs of the main
+process (:class:`jaxdet.engine.slots.SharedDevice`).
+"""
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from jaxdet.config import Config
-from jaxdet.engine.slots import SLOTS, GpuPipe, Piece, Reply, Served, attached
+from jaxdet.engine.floors import Planes
 from jaxdet.engine.startup import computing
 from jaxdet.pipeline import BackendName, detect
 from jaxdet.results.rows import row_inputs, to_host
@@ -16,6 +23,7 @@ from jaxdet.types import Detections, Frames
 if TYPE_CHECKING:
     from jaxdet.io import Batch
 
+Key = TypeVar("Key")
 ImageMemory = Callable[[], np.ndarray | tuple[np.ndarray, np.ndarray]]
 """Function that returns memory for decoded depth images, or depth and colour images; see
 :meth:`Log.batches`."""
@@ -110,42 +118,65 @@ def out_of_memory(error: Exception) -> bool:
     return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
 
 
-class SharedDevice:
-    """The GPUs of the main process, which compute for this worker.
+def detected(
+    batches: Iterable[tuple[Key, "Batch"]],
+    planes: Planes,
+    device: Device,
+    busy: Counter[Any] | None = None,
+) -> Generator[tuple[Key, "Batch", Found], None, None]:
+    """Yield batches with the priors of their floors and with their detections, in order.
+
+    A batch is read while ``device.ahead`` others are computed.
 
     Args:
-        served: Format of the frames, see :meth:`jaxdet.engine.pool.Pool.serve`.
-        pipe: Connection of this worker to :class:`jaxdet.engine.gpu_threads.GpuThreads`.
+        batches: Batches of frames with images, see :func:`color_to_read`, each with anything that
+            belongs to it.
+        planes: Priors of the log's floors.
+        device: Device that computes.
+        busy: Times of steps [s], to which those of this process and of the device are added.
     """
+    busy = Counter() if busy is None else busy
+    in_flight: deque[tuple[Key, Batch, Any]] = deque()
 
-    ahead, doing = SLOTS - 1, "wait"
+    def finish() -> tuple[Key, "Batch", Found]:
+        key, batch, started = in_flight.popleft()
+        with timed(busy, device.doing):
+            found = device.finish(started)
+        busy.update(found.busy_s)
+        return key, batch, found
 
-    def __init__(self, served: Served, pipe: GpuPipe) -> None:
-        self.served, self._pipe = served, pipe.pipe
-        self._slots = served.slots(attached(served.path))
-        self._first, self._turn = pipe.worker * SLOTS, 0
-        self._replies: dict[int, Reply] = {}
+    try:
+        for key, batch in batches:
+            plane = planes.of(batch.frames.stamp_ns)
+            batch = batch._replace(frames=batch.frames._replace(plane=plane))
+            with timed(busy, device.doing):
+                in_flight.append((key, batch, device.start(batch)))
+            if len(in_flight) > device.ahead:
+                yield finish()
+        while in_flight:
+            yield finish()
+    finally:
+        for _, _, started in in_flight:
+            with suppress(Exception):
+                device.finish(started)
 
-    def images(self) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
-        """Return the memory that the next batch is decoded into."""
-        self._turn = (self._turn + 1) % SLOTS
-        depth, *color = self._slots[self._first + self._turn].images
-        return (depth, color[0]) if color else depth
 
-    def start(self, batch: "Batch") -> int:
-        """Start the batch whose images are in the memory that :attr:`images` returned last."""
-        slot = self._first + self._turn
-        assert batch.frames.plane is not None
-        self._pipe.send(Piece(slot, batch.frames.plane))
-        return slot
+@contextmanager
+def timed(busy: Counter[Any], step: str) -> Iterator[None]:
+    """Add the time that the context takes to a step."""
+    start = time.perf_counter()
+    try:
+        yield
+    finally:
+        busy[step] += time.perf_counter() - start  # pyright: ignore
 
-    def finish(self, started: int) -> Found:
-        """Wait for a batch; its results are valid until its slot is started again."""
-        while started not in self._replies:
-            received: Reply = self._pipe.recv()
-            self._replies[received.slot] = received
-        reply = self._replies.pop(started)
-        if reply.error:
-            raise reply.error
-        inputs = self.served.unpacked(self._slots[started].results)
-        return Found(inputs, busy_s=reply.busy_s)
+
+def color_to_read(config: Config, shown: bool | Collection[int] = False) -> dict[str, Any]:
+    """Return which colour images are read, as arguments of :meth:`jaxdet.io.Log.batches`.
+
+    Args:
+        config: Configuration; the preset ``paper`` reads all.
+        shown: Frames whose images are shown: all, none, or a container of numbers.
+    """
+    paper = config.cluster.points
+    return {"color": paper or shown, "need_color": paper}

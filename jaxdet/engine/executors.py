@@ -1,6 +1,6 @@
 """Executors of a log's frames: one process, or the workers of a pool together."""
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from jaxdet.config import Config
 from jaxdet.engine.device import Device, OwnDevice
 from jaxdet.engine.floors import Planes, decide_planes
+from jaxdet.engine.gpu import served_for
 from jaxdet.engine.memory import Memory
 from jaxdet.engine.placement import Machine, Share
-from jaxdet.engine.plan import LogPlan, Unit
+from jaxdet.engine.plan import LogPlan, Unit, UnitQueue
 from jaxdet.engine.pool import Pool
-from jaxdet.engine.progress import Report
-from jaxdet.engine.settings import RunSettings
+from jaxdet.engine.settings import Report, RunSettings
 from jaxdet.engine.slots import Served
 from jaxdet.engine.startup import start_up
-from jaxdet.engine.tasks import UnitQueue
-from jaxdet.engine.unit import UnitProcessor, lost_unit
-from jaxdet.engine.unit_result import UnitResult
+from jaxdet.engine.unit import lost_unit, process_units
+from jaxdet.engine.unit_result import UnitResult, UnitResults
 from jaxdet.engine.worker import Failure, Lost, WorkerProcess
 from jaxdet.pipeline import BackendName
 
@@ -32,15 +31,13 @@ class Executor(Protocol):
 
     share: Share
     """Placement of the frames."""
-    devices: int
-    """Number of GPUs that compute."""
 
     def find_planes(self) -> Planes:
         """Start processes that don't run yet, and return the priors of the floors."""
         ...
 
-    def work(self, plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
-        """Yield all units of the plan with their results, in any order."""
+    def work(self, plan: LogPlan, units: Sequence[Unit]) -> UnitResults:
+        """Yield the units with their results, in any order."""
         ...
 
 
@@ -55,12 +52,12 @@ class Host:
     report: Report = lambda *_: None
     """Called with the progress of the log."""
     log_per_worker: bool = False
-    """Whether each process of the run works on a log of its own: then errors are raised, also that
-    of a log that doesn't fit into this process's share of the memory."""
+    """Whether each process of the run works on a log of its own. If so, errors are raised, not
+    recorded, including that of a log that exceeds this process's share of the memory."""
 
 
 def first_process(machine: Machine, report: Report = lambda *_: None) -> Host:
-    """Return the first process of a run, which works on a log itself or lets all workers do it."""
+    """Return the first process of a run: it processes a log itself, or divides it among workers."""
 
     def executor(log: "Log", memory: Memory) -> Executor:
         settings, share = machine.settings, machine.share_of_all(log, memory)
@@ -74,54 +71,34 @@ def first_process(machine: Machine, report: Report = lambda *_: None) -> Host:
     return Host(machine.memory, executor, report)
 
 
+@dataclass
 class InProcess:
-    """Executor that processes the frames in the current process.
+    """Executor that processes the frames in the current process."""
 
-    Args:
-        settings: The run.
-        log: Open log.
-        share: Placement of its frames.
-        device: Device that computes.
-        alive: Called after each batch.
-        devices: Number of GPUs that compute.
-    """
-
-    def __init__(
-        self,
-        settings: RunSettings,
-        log: "Log",
-        share: Share,
-        device: Device,
-        alive: Callable[[], object] = lambda: None,
-        devices: int = 0,
-    ) -> None:
-        self.settings, self.log, self.share, self.device = settings, log, share, device
-        self.devices, self._alive = devices, alive
+    settings: RunSettings
+    log: "Log"
+    """Open log."""
+    share: Share
+    device: Device
+    """Device that computes."""
+    alive: Callable[[], object] = lambda: None
+    """Called after each batch."""
 
     def find_planes(self) -> Planes:
         """Find the floors in this process."""
         config, backend = self.settings.config, self.settings.options.backend
-        return decide_planes(self.log, config, backend, None, self.share.read, self._alive)
+        return decide_planes(self.log, config, backend, None, self.share.read, self.alive)
 
-    def work(self, plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
-        """Work through all units in order."""
-        work = UnitProcessor(self.log, plan, self.device, self._alive)
-        return work.process_units(plan.units())
+    def work(self, plan: LogPlan, units: Sequence[Unit]) -> UnitResults:
+        """Work through the units in order."""
+        return process_units(self.log, plan, self.device, units, self.alive)
 
 
 class InPool:
-    """Executor that divides the frames of a log among the workers of a pool.
-
-    Args:
-        settings: The run.
-        log: Open log.
-        share: Placement of its frames.
-        pool: The workers.
-    """
+    """Executor that divides the frames of an open log among the workers of a pool."""
 
     def __init__(self, settings: RunSettings, log: "Log", share: Share, pool: Pool) -> None:
         self.settings, self.log, self.share, self.pool = settings, log, share, pool
-        self.devices, self._room = len(pool.devices), share.read
         if served := self._serve():
             self.share = share._replace(batch=served.batch, read=served.frames)
 
@@ -138,14 +115,14 @@ class InPool:
             raise found.as_raised(where)
         return found
 
-    def work(self, plan: LogPlan) -> Generator[tuple[Unit, UnitResult], None, None]:
-        """Let the workers process all units of the plan.
+    def work(self, plan: LogPlan, units: Sequence[Unit]) -> UnitResults:
+        """Let the workers process the units.
 
         If the worker of a unit is lost, the unit is tried once more, while no other unit is
         processed and, if workers compute, in smaller batches. If a worker is lost again, the status
-        of the unit's frames says so.
+        of the unit's frames reports it.
         """
-        todo, failure = UnitQueue(plan.units(), self.pool.count), None
+        todo, failure = UnitQueue(units, self.pool.count), None
         while todo and not failure:
             with closing(self.pool.each(self._job(plan), todo)) as answers:
                 for unit, answer in answers:
@@ -154,7 +131,7 @@ class InPool:
                     if isinstance(answer, Lost):
                         answer = self._retry(plan, unit, answer)
                     if isinstance(answer, Failure):
-                        failure = answer.as_raised(plan.where(unit))
+                        failure = answer.as_raised(unit.where(self.log.label))
                         todo.clear()
                     else:
                         yield unit, answer
@@ -165,7 +142,7 @@ class InPool:
         """Return the result of a unit whose worker was lost."""
         batch = plan.batch_size if self.pool.devices else max(1, plan.batch_size // 2)
         job = self._job(plan._replace(batch_size=batch))
-        found = self.pool.call(job, unit, plan.where(unit))
+        found = self.pool.call(job, unit, unit.where(self.log.label))
         if not isinstance(found, Lost):
             return found
         reason = f"{found.reason}, twice" if found.reason == lost.reason else found.reason
@@ -179,9 +156,8 @@ class InPool:
         """Let GPUs compute for workers; return the format of the frames, or None without GPUs."""
         if not self.pool.devices:
             return None
-        settings = self.settings
-        given = settings.config, settings.options.batch_size, self._room
-        return self.pool.serve(self.log, *given)
+        given = self.settings.config, self.settings.options.batch_size, self.share.read
+        return self.pool.serve(served_for(self.log, *given, self.pool.count))
 
 
 class FloorJob(NamedTuple):
@@ -212,6 +188,11 @@ class UnitJob(NamedTuple):
     def open(self, process: WorkerProcess) -> Iterator[Callable[[Unit], UnitResult]]:
         """Return the function that processes a unit."""
         device = process.device(self.served, self.plan.settings)
+
+        def process_unit(unit: Unit) -> UnitResult:
+            given = self.log, self.plan, device, [unit], process.report_progress
+            ((_, result),) = process_units(*given)
+            return result
+
         with closing(self.log):
-            work = UnitProcessor(self.log, self.plan, device, process.report_progress)
-            yield work.process_unit
+            yield process_unit

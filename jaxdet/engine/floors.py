@@ -93,13 +93,13 @@ class Planes:
         """
         if not self.window_ns:
             return [_word(self.records[0], "log")] * stamp_ns.size
-        known = {
+        words = {
             record.window_start_ns // self.window_ns: _word(record, "window")
             for record in self.records
             if record.window_start_ns is not None
         }
         keys = (stamp_ns // self.window_ns).tolist()
-        return [known.get(key, self.otherwise_source) for key in keys]
+        return [words.get(key, self.otherwise_source) for key in keys]
 
 
 def _word(record: GroundRecord, estimated: str) -> str:
@@ -140,7 +140,7 @@ def decide_planes(
     """
     if config.ground.source == "none":
         return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
-    known, plane, warnings = _stated(log, config.ground)
+    first, plane, warnings = _stated(log, config.ground)
     samples = _Samples(log, config, backend, at_once, alive)
     records, windows = [], {}
     window_ns = round(config.ground.window_s * 1e9)
@@ -148,7 +148,7 @@ def decide_planes(
     for number, all_frames in _windows(log, window_ns, wanted):
         sample = evenly(all_frames, config.ground.sample_frames)
         (found,) = samples.floors(sample, plane)
-        record, windows[number] = _prior(found, known, plane, alone=not config.cluster.points)
+        record, windows[number] = _prior(found, first, plane, by_frame=not config.cluster.points)
         few = record.frames_used is not None and record.frames_used <= _FEW * len(sample)
         if few and record.source in ("none", "tf") and not config.cluster.points:
             upright, *turned = samples.floors(sample, unknown_plane(1), (0, *_TURNS))
@@ -165,12 +165,12 @@ def decide_planes(
         problem = f"no floor was found{where}: nothing is dropped as floor there"
         warnings = (*warnings, f"{problem}; give --ground.camera-height-m")
     return Planes(
-        tuple(records) or (replace(known, message=_said(known, "no frame has depth")),),
+        tuple(records) or (replace(first, message=_with_prior(first, "no frame has depth")),),
         windows if window_ns else {0: plane, **windows},
         window_ns,
         warnings,
         plane,
-        known.source,
+        first.source,
     )
 
 
@@ -218,7 +218,7 @@ def _plane_from_tf(log: "Log") -> tuple[GroundPlane | None, str]:
 
 
 class _Samples(NamedTuple):
-    """Reader of samples of a log; attributes are arguments of :func:`decide_planes`."""
+    """Floors of samples of a log; attributes are the arguments of :func:`decide_planes`."""
 
     log: "Log"
     config: Config
@@ -259,24 +259,24 @@ class _Samples(NamedTuple):
 
 
 def _prior(
-    found: SampledFloor | None, known: GroundRecord, plane: GroundPlane, *, alone: bool
+    found: SampledFloor | None, first: GroundRecord, plane: GroundPlane, *, by_frame: bool
 ) -> tuple[GroundRecord, GroundPlane]:
-    """Return the prior after a sample: the floor that its frames show, or the previous prior.
+    """Return the prior after a sample: the floor that its frames show, or the first prior.
 
     Args:
         found: Floor of the sample.
-        known: Record of the previous prior.
-        plane: The previous prior.
-        alone: Whether a frame can be searched without a prior.
+        first: Record of the first prior.
+        plane: The first prior.
+        by_frame: Whether the floor of a frame can be found without a prior.
     """
     if found is None:
-        return replace(known, message=_said(known, "no sampled frame could be read")), plane
-    message = _said(known, _sample_text(found))
-    alone = alone and not plane.valid[0]
-    if not (found.agrees if alone else found.plane.valid[0]):
-        if alone:
+        return replace(first, message=_with_prior(first, "no sampled frame could be read")), plane
+    message = _with_prior(first, _sample_text(found))
+    by_frame = by_frame and not plane.valid[0]
+    if not (found.agrees if by_frame else found.plane.valid[0]):
+        if by_frame:
             message = f"each frame is searched alone; {message}"
-        return replace(known, frames_used=found.decided, message=message), plane
+        return replace(first, frames_used=found.decided, message=message), plane
     return _estimate(found, found.plane, message), found.plane
 
 
@@ -360,10 +360,10 @@ def _sample_text(found: SampledFloor) -> str:
     return f"{text}, within {found.height_spread_m * 100:.1f} cm and {degrees:.1f}° of the median"
 
 
-def _said(known: GroundRecord, text: str) -> str:
-    """Return a text followed by the values and the message of a record."""
-    if known.height_m is None:
+def _with_prior(prior: GroundRecord, text: str) -> str:
+    """Return a text followed by the values and the message of a prior."""
+    if prior.height_m is None:
         return text
-    pitch, roll = np.degrees([known.pitch_rad or 0.0, known.roll_rad or 0.0])
-    about = f"{known.source}: {known.height_m:.3f} m up, {pitch:.1f}° down, roll {roll:+.1f}°"
-    return "; ".join(part for part in (text, about, known.message) if part)
+    pitch, roll = np.degrees([prior.pitch_rad or 0.0, prior.roll_rad or 0.0])
+    about = f"{prior.source}: {prior.height_m:.3f} m up, {pitch:.1f}° down, roll {roll:+.1f}°"
+    return "; ".join(part for part in (text, about, prior.message) if part)

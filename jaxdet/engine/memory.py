@@ -44,17 +44,6 @@ BATCHES_IN_FLIGHT = 5
 take as much memory as two."""
 
 
-class Needs(NamedTuple):
-    """Memory that a log needs [bytes]."""
-
-    frame: int
-    """Memory of the images of a frame."""
-    known: int
-    """Memory of the log's message index in each process."""
-    rows: int
-    """Memory of the table rows that are packed together in this process."""
-
-
 class MemoryPlan(NamedTuple):
     """Numbers of processes and frames for a log that fit into the memory."""
 
@@ -68,7 +57,7 @@ class Memory:
     """Memory of a run.
 
     Args:
-        asked: Requested memory, the value of ``--memory``; by default ``SHARE`` of the machine's.
+        requested: Value of ``--memory``; by default ``SHARE`` of the memory of the machine.
         workers: Maximum number of processes.
         devices: Number of GPUs.
         apart: Whether this process leaves all logs to workers, even to a single one, if there is
@@ -77,35 +66,36 @@ class Memory:
 
     Attributes:
         total: Memory of the run [bytes].
+        devices: Number of GPUs.
         workers: Number of processes that fit, at most the argument ``workers``.
         chunks: Memory for chunks in each process [bytes].
         reading: Limits for reading a log.
-        room: Memory besides that of libraries and programs [bytes].
+        room: Memory in addition to that of libraries and programs [bytes].
         apart: Whether a single worker runs in addition to this process, not instead of it.
 
     Raises:
-        ConfigError: ``asked`` is too little for any log.
+        ConfigError: ``requested`` is too little for any log.
     """
 
     def __init__(
         self,
-        asked: str | None,
+        requested: str | None,
         workers: int,
         devices: int = 0,
         *,
         apart: bool = False,
         largest: int = LogOptions.max_chunk_mib * MIB,
     ) -> None:
-        self._asked, self._devices, self.apart = asked, devices, False
+        self._requested, self.devices, self.apart = requested, devices, False
         self._largest = largest
         least = self._fixed(1) + LEAST_CHUNKS + LEAST_IMAGES
-        if asked is None:
+        if requested is None:
             self.total = max(least, int(SHARE * machine_memory()))
         else:
-            self.total = parse_size(asked, "--memory")
+            self.total = parse_size(requested, "--memory")
         if self.total < least:
             remedy = f"give --memory {size_text(least)} or more"
-            raise ConfigError(f"--memory {asked} is too little for any log", remedy=remedy)
+            raise ConfigError(f"--memory {requested} is too little for any log", remedy=remedy)
         self.apart = apart and self.total >= PARENT + WORKER + LEAST_CHUNKS + LEAST_IMAGES
         fitting = [n for n in range(2, workers + 1) if self._left(n) >= LEAST_CHUNKS + LEAST_IMAGES]
         self.workers = max([1, *fitting])
@@ -122,14 +112,18 @@ class Memory:
         """
         if self.workers == 1:
             return None
-        given = self._asked, self.workers // 2, self._devices
+        given = self._requested, self.workers // 2, self.devices
         return Memory(*given, apart=self.apart, largest=self._largest)
 
-    def allot(self, needs: Needs, batch: int, workers: int, where: str) -> MemoryPlan:
+    def allot(
+        self, frame: int, index: int, rows: int, batch: int, workers: int, where: str
+    ) -> MemoryPlan:
         """Return the largest numbers of processes and frames that fit.
 
         Args:
-            needs: Memory that the log needs.
+            frame: Memory of the images of a frame [bytes].
+            index: Memory of the log's message index in each process [bytes].
+            rows: Memory of the table rows that are packed together in this process [bytes].
             batch: Largest number of frames computed together.
             workers: Largest number of processes.
             where: Name of the log, for the error.
@@ -140,13 +134,13 @@ class Memory:
         for count in range(min(workers, self.workers), 0, -1):
             left = self._left(count) - self.chunks
             # If there are workers, a copy of the index is made to be sent to them.
-            left -= (needs.known * (count + 1 + (count > 1)) + needs.rows) // count
+            left -= (index * (count + 1 + (count > 1)) + rows) // count
             size = batch
-            while size and BATCHES_IN_FLIGHT * size * needs.frame > left:
+            while size and BATCHES_IN_FLIGHT * size * frame > left:
                 size //= 2
             if size:
                 return MemoryPlan(count, size)
-        rest = BATCHES_IN_FLIGHT * needs.frame + 2 * needs.known + needs.rows
+        rest = BATCHES_IN_FLIGHT * frame + 2 * index + rows
         chunks = max(LEAST_CHUNKS, min(2 * self._largest, rest))  # half of the remaining memory
         least = size_text(self._fixed(1) + chunks + rest)
         problem = f"its images, index and rows need more memory than {size_text(self.total)}"
@@ -157,6 +151,6 @@ class Memory:
         return (self.total - self._fixed(workers)) // workers
 
     def _fixed(self, workers: int) -> int:
-        if self._devices:
+        if self.devices:
             return ON_GPUS + workers * READER
         return ALONE if workers == 1 and not self.apart else PARENT + workers * WORKER

@@ -29,7 +29,7 @@ from jaxdet.results.summary import LogSummary
 from jaxdet.signals import stops_held_back
 
 if TYPE_CHECKING:
-    from jaxdet.engine.options import RunOptions
+    from jaxdet.engine.settings import RunOptions
     from jaxdet.io import LogFiles
 
 LOGGER = logging.getLogger("jaxdet")
@@ -93,24 +93,16 @@ class OutputFolder:
                 the same folder.
             InputError: Results can't be read.
         """
-        names = self._names(logs)
-        self._check_run(set(names.values()))
-        found = {}
-        for log in logs:
-            about = self._standing(log, self.output / names[log.name])
-            if about is not None:
-                found[log.name] = about
+        _check_names(logs)
+        self._check_run({log_name(log.name) for log in logs})
+        found = {log.name: self._standing(log, self.output / log_name(log.name)) for log in logs}
+        place = self.output / RUN
         with writing(self.output):
             self.staging.mkdir()
-            self._write_record()
-        return found
-
-    def _write_record(self) -> None:
-        """Write ``run.json``, unless the existing file holds the same record."""
-        place = self.output / RUN
-        if not place.exists() or self._reason(place):
-            write_whole(self.staging / RUN, to_json(dict(self.record)).encode())
-            os.replace(self.staging / RUN, place)
+            if not place.exists() or self._difference(place):
+                write_whole(self.staging / RUN, to_json(dict(self.record)).encode())
+                os.replace(self.staging / RUN, place)
+        return {name: about for name, about in found.items() if about is not None}
 
     def staged(self, log: str) -> Path:
         """Return the folder in which the results of a log are to be made."""
@@ -131,20 +123,6 @@ class OutputFolder:
         else:
             remove(staged)
 
-    def _names(self, logs: Sequence["LogFiles"]) -> dict[str, str]:
-        """Return the names of the logs' folders by the names of the logs."""
-        found: dict[str, LogFiles] = {}
-        for log in logs:
-            name = log_name(log.name)
-            if name in found:
-                problem = f"has the name of {found[name].paths[0]}: {log.name}"
-                remedy = (
-                    "name the folder that both are in, and they have names by their paths in it"
-                )
-                raise ConfigError(problem, path=str(log.paths[0]), remedy=remedy)
-            found[name] = log
-        return {log.name: name for name, log in found.items()}
-
     def _check_run(self, names: set[str]) -> None:
         """Check that results in the folder are of this configuration and version."""
         if is_complete(self.output) or (self.output / FRAMES).exists():
@@ -152,7 +130,7 @@ class OutputFolder:
             raise ConfigError(problem, path=str(self.output), remedy="give another --output")
         if not (self.output / RUN).exists():
             return
-        reason = self._reason(self.output / RUN)
+        reason = self._difference(self.output / RUN)
         others = [name for name, path in log_folders(self.output).items() if is_complete(path)]
         if not reason or not others:
             return
@@ -163,7 +141,7 @@ class OutputFolder:
             remedy = "name all logs that are there, or give another --output"
             raise ConfigError(problem, path=str(self.output), remedy=remedy)
 
-    def _reason(self, path: Path) -> str | None:
+    def _difference(self, path: Path) -> str | None:
         """Describe how a ``run.json`` differs from this run; None if it doesn't."""
         try:
             return difference(read_json(path), self.record)
@@ -241,6 +219,17 @@ class OutputFolder:
             self._lock.release()
             with suppress(OSError):
                 self.output.rmdir()  # fails if it is not empty
+
+
+def _check_names(logs: Sequence["LogFiles"]) -> None:
+    """Check that no two logs have the same folder of results."""
+    found: dict[str, LogFiles] = {}
+    for log in logs:
+        other = found.setdefault(log_name(log.name), log)
+        if other is not log:
+            problem = f"has the name of {other.paths[0]}: {log.name}"
+            remedy = "name the folder that both are in, and they have names by their paths in it"
+            raise ConfigError(problem, path=str(log.paths[0]), remedy=remedy)
 
 
 def _summaries(path: Path) -> list[LogSummary]:

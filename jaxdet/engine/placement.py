@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxdet.cores import cores
-from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, Memory, MemoryPlan, Needs
+from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, Memory, MemoryPlan
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.settings import RunSettings
 from jaxdet.memory import size_text
@@ -132,12 +132,6 @@ def share_of_worker(
 ) -> Share:
     """Return the placement of a log that a worker has opened, while others work on other logs.
 
-    Args:
-        settings: Settings of the run.
-        log: Open log.
-        memory: Memory of the run.
-        served: Format of the frames that GPUs compute; None if workers compute.
-
     Raises:
         MemoryError: The log needs more memory than this worker's share.
         OtherCameraError: GPUs compute for another camera.
@@ -153,12 +147,7 @@ def share_of_worker(
 
 
 def logs_for_workers(logs: Mapping[str, "LogFiles"], machine: Machine) -> list[str]:
-    """Return the names of logs that are each processed by a single worker, the largest first.
-
-    Args:
-        logs: Logs by their names.
-        machine: Memory and processes.
-    """
+    """Return the names of logs that are each processed by a single worker, the largest first."""
     if len(logs) == 1 or machine.memory.workers == 1:
         return []
     sizes = {name: sum(map(_size, log.paths)) for name, log in logs.items()}
@@ -176,7 +165,7 @@ def _size(path: Path) -> int:
 
 
 def smallest_logs(sizes: Mapping[str, int], workers: int) -> set[str]:
-    """Return the smallest logs, as many as one worker each can process until all logs are done.
+    """Return the smallest logs, as many as single workers can process until all logs are done.
 
     If all workers share the other logs afterwards, all logs are done soonest.
 
@@ -199,13 +188,13 @@ def smallest_logs(sizes: Mapping[str, int], workers: int) -> set[str]:
 def memory_plan(
     settings: RunSettings, log: "Log", memory: Memory, workers: int, packing: int = 1
 ) -> MemoryPlan:
-    """Return how many processes and frames at a time fit into the memory.
+    """Return how many processes, and how many frames per batch, fit into the memory.
 
     Args:
         settings: Settings of the run.
         log: Open log.
         memory: Memory of the run.
-        workers: Largest number of processes.
+        workers: Maximum number of processes.
         packing: Number of processes that pack rows at the same time.
 
     Raises:
@@ -215,7 +204,7 @@ def memory_plan(
     row = _ROW_BYTES + _COLUMN_BYTES * log.depth_shape[1]
     frame = 2 * prod(log.depth_shape) + _color_bytes(settings, log, batch)
     rows = packing * min(ROWS_PER_GROUP, len(log.frames)) * row
-    return memory.allot(Needs(frame, log.index_bytes, rows), batch, workers, log.name)
+    return memory.allot(frame, log.index_bytes, rows, batch, workers, log.name)
 
 
 def _color_bytes(settings: RunSettings, log: "Log", batch: int) -> int:

@@ -1,6 +1,7 @@
-"""Plan of a log: the decisions that are made before its frames are processed."""
+"""Plan of a log: its units, and the decisions that are made before its frames are processed."""
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -8,53 +9,16 @@ from typing import NamedTuple
 from jaxdet.engine.floors import Planes
 from jaxdet.engine.settings import RunSettings
 
-
-class Unit(NamedTuple):
-    """Range of frames of a log; one process works on those of its frames that are in the plan."""
-
-    number: int
-    start: int
-    stop: int
-    """Number of the last frame plus 1."""
-
-
-class UnitSizes(NamedTuple):
-    """Sizes of the units into which the frames of a log are divided."""
-
-    size: int
-    """Number of frames in a unit."""
-    end_frames: int
-    """Approximate number of frames at the log's end that are in smaller units, so that all workers
-    finish at about the same time."""
-    end_size: int
-    """Number of frames in each of the smaller units."""
-
-
-def units_of(frames: range, sizes: UnitSizes) -> Iterator[Unit]:
-    """Yield the units of frames, in order."""
-    count, (size, end_frames, end_size) = len(frames), sizes
-    whole = max(0, count - end_frames) // size * size
-    ends = [*range(0, whole, size), *range(whole, count, end_size), count]
-    for number, (first, last) in enumerate(pairwise(ends)):
-        part = frames[first:last]
-        yield Unit(number, part[0], part[-1] + 1)
+UNIT_FRAMES = 256
+"""Maximum number of frames in a unit; neighbouring frames are taken, as they share chunks."""
 
 
 class LogPlan(NamedTuple):
     """Plan of a log, which holds for all its units; they don't depend on each other."""
 
     settings: RunSettings
-    log: str
-    """Name of the log."""
-    camera: str
-    """Name of the camera."""
-    label: str
-    """Name of the log, followed by that of the camera if the log has several."""
-    frames: range
-    """Numbers of the frames."""
     batch_size: int
     """Number of frames that are read and computed together."""
-    sizes: UnitSizes
     planes: Planes
     drawn: frozenset[int]
     """Numbers of the frames to draw."""
@@ -65,13 +29,87 @@ class LogPlan(NamedTuple):
     picture: str
     """Prefix of the names of pictures."""
 
-    def units(self) -> Iterator[Unit]:
-        """Yield the units in the order of their frames."""
-        return units_of(self.frames, self.sizes)
 
-    def where(self, unit: Unit) -> str:
-        """Return a text that names the log and the frames of a unit."""
-        first, last = unit.start, unit.stop - 1
-        return f"{self.label}, " + (
-            f"frames {first} to {last}" if last > first else f"frame {last}"
-        )
+class Unit(NamedTuple):
+    """Range of frames of a log; one process works on those of its frames that are selected."""
+
+    number: int
+    start: int
+    stop: int
+    """Number of the last frame plus 1."""
+
+    def where(self, label: str) -> str:
+        """Return a text that names the frames and, by its ``label``, the log."""
+        first, last = self.start, self.stop - 1
+        return f"{label}, " + (f"frames {first} to {last}" if last > first else f"frame {last}")
+
+
+def divide(frames: range, batch: int, workers: int, most: int = UNIT_FRAMES) -> list[Unit]:
+    """Divide the frames of a log into units, in order.
+
+    At the log's end units are smaller, so that all workers finish at about the same time.
+
+    Args:
+        frames: Numbers of the frames.
+        batch: Number of frames that are computed together; units are multiples of it.
+        workers: Number of processes that share the units.
+        most: Maximum number of frames in a unit.
+    """
+    count = len(frames)
+    batches = max(1, min(most, count // (4 * workers)) // batch)
+    size, end_size = batches * batch, max(1, batches // 4) * batch
+    end_frames = workers * size if workers > 1 else 0
+    whole = max(0, count - end_frames) // size * size
+    ends = [*range(0, whole, size), *range(whole, count, end_size), count]
+    return [
+        Unit(number, frames[first], frames[last - 1] + 1)
+        for number, (first, last) in enumerate(pairwise(ends))
+    ]
+
+
+class UnitQueue:
+    """Queue of a log's units, in which each worker takes neighbouring units (work stealing).
+
+    Neighbouring units share chunks of the log, which only one worker should decompress. So each
+    worker has a run of units, and a worker without units takes the later half of the longest run.
+    Large units are taken first; small units at the end let all workers finish together.
+
+    Args:
+        units: Units in order.
+        workers: Number of workers.
+    """
+
+    def __init__(self, units: Iterable[Unit], workers: int) -> None:
+        self._workers = workers
+        self._runs: list[list[deque[Unit]]] = []
+        self.put_back(units)
+
+    def __len__(self) -> int:
+        return sum(len(run) for runs in self._runs for run in runs)
+
+    def clear(self) -> None:
+        """Remove all units."""
+        self._runs = []
+
+    def take(self, worker: int) -> Unit:
+        """Return the next unit for the worker of this number; the queue may not be empty."""
+        runs = next(runs for runs in self._runs if any(runs))
+        own, longest = runs[worker], max(runs, key=len)
+        if not own:
+            for _ in range(-(-len(longest) // 2)):
+                own.appendleft(longest.pop())
+        return own.popleft()
+
+    def put_back(self, tasks: Iterable[Unit]) -> None:
+        """Add units that were taken and not done, and divide all units among the workers again."""
+        left = sorted([*tasks, *(unit for runs in self._runs for run in runs for unit in run)])
+        most = max((unit.stop - unit.start for unit in left), default=0)
+        kinds: list[list[Unit]] = [[], []]
+        for unit in left:
+            kinds[unit.stop - unit.start < most].append(unit)
+        self._runs = [_even_runs(kind, self._workers) for kind in kinds]
+
+
+def _even_runs(units: Sequence[Unit], count: int) -> list[deque[Unit]]:
+    ends = [len(units) * i // count for i in range(count + 1)]
+    return [deque(units[ends[i] : ends[i + 1]]) for i in range(count)]

@@ -5,33 +5,30 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Generator, Iterator
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from itertools import chain
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from jaxdet.config import Config
-from jaxdet.engine.gpu_threads import GpuThreads, served_for
+from jaxdet.engine.gpu import GpuThreads
+from jaxdet.engine.plan import UnitQueue
 from jaxdet.engine.slots import GpuPipe, Served
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
-from jaxdet.engine.tasks import TaskQueue, UnitQueue
 from jaxdet.engine.worker import Failure, Job, Lost, Worker
 from jaxdet.errors import FrameStatus, WorkerStartError
 from jaxdet.pipeline import BackendName
 from jaxdet.signals import STOPS, stops_held_back
-
-if TYPE_CHECKING:
-    from jaxdet.io import Log
 
 WAITING = 2
 """Maximum number of tasks assigned to a worker: the current one and the next."""
 NO_PROGRESS_S = 600.0
 """Time without progress after which a worker counts as lost; compiling may take long [s]."""
 LOADED = [
-    *("jaxdet.engine.log_job", "jaxdet.io.opening", "jaxdet.stages._on_cpu"),
+    *("jaxdet.engine.process_log", "jaxdet.io.opening", "jaxdet.stages._on_cpu"),
     *("jaxdet_kernels.decode", "numpy.ma"),
 ]
 LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages.paper._detect"]
@@ -88,11 +85,33 @@ def _start_server(loaded: list[str]) -> None:
                 raise WorkerStartError(problem, remedy=_SHORT_TMPDIR) from error
 
 
+class TaskQueue:
+    """Tasks that free workers take in order.
+
+    Args:
+        tasks: The tasks.
+    """
+
+    def __init__(self, tasks: Iterable[Any]) -> None:
+        self._left = deque(tasks)
+
+    def __len__(self) -> int:
+        return len(self._left)
+
+    def take(self, worker: int) -> Any:
+        """Return the next task for the worker of this number; the queue may not be empty."""
+        return self._left.popleft()
+
+    def put_back(self, tasks: Iterable[Any]) -> None:
+        """Put tasks that were taken but not done back at the front."""
+        self._left.extendleft(tasks)
+
+
 class Pool:
     """Worker processes; a context manager that ends them.
 
     On the CPU each worker does all steps of a unit. With GPUs, workers read images and make rows,
-    and this process computes for all of them, see :mod:`jaxdet.engine.gpu_threads`.
+    and this process computes for all of them, see :mod:`jaxdet.engine.gpu`.
 
     Workers start when they are first needed and stay for the next log. On Linux and macOS they are
     forked from a server that has loaded JAX and Warp once; elsewhere each worker loads them. If a
@@ -116,11 +135,9 @@ class Pool:
         self._ended, self._started = threading.Event(), threading.Event()
 
     def __enter__(self) -> "Pool":
-        """Return the pool."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the processes at once."""
         self.close()
 
     @cached_property
@@ -160,21 +177,16 @@ class Pool:
             self.close()
             self.count = count
 
-    def serve(
-        self, log: "Log", config: Config, batch_size: int | None, piece_frames: int
-    ) -> Served:
-        """Start the processes, and threads that compute logs like this one, unless they run.
-
-        The arguments are those of :func:`jaxdet.engine.gpu_threads.served_for`.
+    def serve(self, wanted: Served) -> Served:
+        """Start the processes, and threads that compute frames of this format, unless they run.
 
         Returns:
-            Format of the frames that GPUs compute, see :attr:`serving`.
+            The format with the memory of the frames, see :attr:`serving`.
 
         Raises:
             WorkerError: There is too little memory.
         """
         self.start()
-        wanted = served_for(log, config, batch_size, piece_frames, self.count)
         if self._gpus is None or self._gpus.wanted != wanted:
             self._end_gpus()
             self._gpus = GpuThreads(wanted, [ours for ours, _ in self._pipes], self.devices)

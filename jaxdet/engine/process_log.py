@@ -1,20 +1,25 @@
-"""Processing of a log, from its files to the folder of its results."""
+"""Processing of a log, from its files to the folder of its results, also by a single worker."""
 
-from contextlib import ExitStack, closing
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from jaxdet.engine.device import out_of_memory
-from jaxdet.engine.executors import Executor, Host
+from jaxdet.engine.executors import Executor, Host, InProcess
 from jaxdet.engine.floors import Planes, evenly
+from jaxdet.engine.memory import Memory
 from jaxdet.engine.own_body import own_body_note
-from jaxdet.engine.plan import LogPlan, UnitSizes
-from jaxdet.engine.progress import Clock
+from jaxdet.engine.placement import OtherCameraError, share_of_worker
+from jaxdet.engine.plan import UNIT_FRAMES, LogPlan, divide
 from jaxdet.engine.settings import RunSettings
 from jaxdet.engine.unit_result import Assembly
+from jaxdet.engine.worker import WorkerProcess
 from jaxdet.errors import (
     CamerasError,
     ChunkMemoryError,
@@ -27,7 +32,6 @@ from jaxdet.errors import (
 from jaxdet.io import open_log
 from jaxdet.io.timeline import total
 from jaxdet.memory import size_text
-from jaxdet.pipeline import BackendName
 from jaxdet.render import draw_map, write_png
 from jaxdet.results.durable import flush_folder, remove, writing
 from jaxdet.results.json_files import write_json
@@ -40,24 +44,19 @@ from jaxdet.results.versions import crash_report
 from jaxdet.results.writer import TableWriter
 
 if TYPE_CHECKING:
+    from jaxdet.engine.slots import Served
     from jaxdet.io import Log, LogFiles, LogOptions
+    from jaxdet.types import Calibration
 
-UNIT_FRAMES = 256
-"""Maximum number of frames in a unit; neighbouring frames are taken, as they share chunks."""
 _CELL_BYTES = 28
 """Memory per cell while a map is made and drawn: four numbers of 4 bytes, copies of some of them,
 and a pixel [bytes]."""
 REPORT = "report.txt"
 """Name of the crash report in the folder of a log that failed because of a bug in jaxdet."""
 
-Inputs = list[dict[str, Any]]
-
 
 def process_log(
-    settings: RunSettings,
-    files: "LogFiles",
-    folder: Path,
-    host: Host,
+    settings: RunSettings, files: "LogFiles", folder: Path, host: Host
 ) -> list[LogSummary]:
     """Write the results of a log into a new folder.
 
@@ -98,12 +97,17 @@ def process_log(
             for about in (one.about for one in done if one.about.description):
                 about.cameras_left_out = list(about.description.cameras_left_out)
         abouts = [one.about for one in cameras]
-        summary = Summary(settings.options.backend, max(one.batch for one in cameras), abouts)
-        summary.seconds = sum(about.seconds for about in abouts)
-        summary.workers = max(about.workers for about in abouts)
         about = {"log": files.name, "inputs": inputs, **settings.about}
         if done:
-            _write_results(folder, settings, summary, done, about)
+            summary = Summary(
+                settings.options.backend,
+                batch_size=max(one.batch for one in cameras),
+                logs=abouts,
+                seconds=sum(about.seconds for about in abouts),
+                workers=max(about.workers for about in abouts),
+            )
+            config = {**settings.record["config"], "batch_size": summary.batch_size}
+            _write_results(folder, config, summary.to_dict(), done, about)
         else:
             remove(folder / "pictures")
             write_failure(folder, about, abouts)
@@ -113,13 +117,7 @@ def process_log(
 
 
 def write_failure(folder: Path, about: dict[str, Any], logs: list[LogSummary]) -> None:
-    """Write ``failed.json``.
-
-    Args:
-        folder: Folder of the log.
-        about: Versions, digest of the configuration, name and inputs.
-        logs: Summaries of its cameras.
-    """
+    """Write ``failed.json`` with the manifest's entries ``about`` and the cameras' summaries."""
     reason = "; ".join(log.error for log in logs if log.error)
     content = {"reason": reason, "attempts": 1, **about, "logs": [log.to_dict() for log in logs]}
     write_json(folder / FAILED, content)
@@ -127,16 +125,12 @@ def write_failure(folder: Path, about: dict[str, Any], logs: list[LogSummary]) -
 
 def _write_results(
     folder: Path,
-    settings: RunSettings,
-    summary: Summary,
+    config: dict[str, Any],
+    summary: dict[str, Any],
     cameras: list["CameraRun"],
     about: dict[str, Any],
 ) -> None:
     """Write tables, JSON files and the manifest."""
-    content, config = (
-        summary.to_dict(),
-        {**settings.record["config"], "batch_size": summary.batch_size},
-    )
     with TableWriter(folder) as writer:
         try:
             for one in cameras:
@@ -145,9 +139,9 @@ def _write_results(
         except MemoryError as error:
             problem, remedy = "no memory for its rows", "end other programs"
             raise OutputError(problem, path=str(folder), remedy=remedy) from error
-        writer.close(config, content)
+        writer.close(config, summary)
     write_json(folder / CONFIG, config)
-    write_json(folder / SUMMARY, content)
+    write_json(folder / SUMMARY, summary)
     with writing(folder):
         write_manifest(folder, about)
 
@@ -160,7 +154,7 @@ class CameraRun:
     files: "LogFiles"
     folder: Path
     host: Host
-    inputs: Inputs
+    inputs: list[dict[str, Any]]
     """Fingerprints of the log's files."""
     camera: str = ""
     """Name of the camera if the log has several."""
@@ -222,7 +216,11 @@ class CameraRun:
         """Run; retry by scanning if the index is wrong, with fewer workers if chunks are large."""
         while True:
             try:
-                self._open_and_run(options)
+                label = ", ".join(filter(None, (self.files.name, self.camera)))
+                self.host.report(self.about, label, 0, "opening")
+                with open_log(self.files, options, self.memory.reading) as log:
+                    self._check_unchanged()  # later changes are noticed by the open log
+                    self._run(log)
                 return
             except RescanError:
                 if options.scan:
@@ -235,13 +233,6 @@ class CameraRun:
                 self.memory = fewer
             self.assembly.close()
             self._begin()
-
-    def _open_and_run(self, options: "LogOptions") -> None:
-        camera = f", {self.camera}" if self.camera else ""
-        self.host.report(self.about, f"{self.files.name}{camera}", 0, "opening")
-        with open_log(self.files, options, self.memory.reading) as log:
-            self._check_unchanged()  # later changes are noticed by the open log
-            self._run(log)
 
     def _check_unchanged(self) -> None:
         """Check that the files are those whose fingerprints the manifest has.
@@ -268,19 +259,18 @@ class CameraRun:
         about.warnings += log.description.warnings
         about.notes += log.description.notes
         executor = self.host.executor(log, self.memory)
-        about.workers, about.devices = executor.share.workers, executor.devices
+        about.workers, about.devices = executor.share.workers, self.memory.devices
         self.host.report(about, log.label, len(log.frames), "looking for the floor")
         planes = executor.find_planes()
         self.batch = executor.share.batch
+        about.ground = planes.records
+        about.warnings += planes.warnings
         plan = self._plan(log, min(executor.share.read, max(1, len(log.frames))), planes)
-        about.ground = plan.planes.records
-        about.warnings += plan.planes.warnings
         self._work(log, plan, executor)
         notes = self.assembly.finish(self.settings.observers)
-        source = self.files.paths[0]
-        source = str(source if len(self.files.paths) == 1 else source.parent)
-        given = self.settings.config, plan.planes, self.assembly.rows(), source
-        body = own_body_note(log, *given)
+        source, *splits = self.files.paths
+        source = str(source.parent if splits else source)
+        body = own_body_note(log, self.settings.config, planes, self.assembly.rows(), source)
         about.notes += [body] if body else []
         if self.settings.options.map:
             self._write_map(self.assembly.map, log)
@@ -290,36 +280,38 @@ class CameraRun:
         own = about.color_warning, about.depth_warning, about.floor_warning, about.tilt_warning
         about.warnings += filter(None, own)
 
-    def _work(self, log: "Log", plan: LogPlan, executor: Executor) -> None:
-        about, clock = self.about, Clock(self.about, executor.share.workers)
-        count = len(log.frames)
-        self.host.report(about, log.label, count, "starting")
-        with closing(executor.work(plan)) as parts:
-            for unit, part in parts:
-                self.assembly.add(unit, part)
-                clock.tick()
-                self.host.report(about, log.label, count, "")
-        about.seconds = clock.seconds
-
     def _plan(self, log: "Log", batch: int, planes: Planes) -> LogPlan:
         """Return the plan of the log, with ``batch`` frames at a time."""
-        settings, count = self.settings, self.settings.options.pictures
+        count = self.settings.options.pictures
         drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
-        backend = settings.options.backend
         return LogPlan(
-            settings=settings,
-            log=self.files.name,
-            camera=log.camera,
-            label=log.label,
-            frames=log.frames,
+            settings=self.settings,
             batch_size=batch,
-            sizes=_unit_sizes(len(log.frames), batch, self.about.workers, backend),
             planes=planes,
             drawn=frozenset(drawn.tolist()),
             folder=self.folder,
             scratch=self.scratch,
             picture=self._prefix,
         )
+
+    def _work(self, log: "Log", plan: LogPlan, executor: Executor) -> None:
+        """Process all units of the log, and collect their results."""
+        about, workers, count = self.about, executor.share.workers, len(log.frames)
+        most = UNIT_FRAMES if self.settings.options.backend == "jax" else plan.batch_size
+        units = divide(log.frames, plan.batch_size, workers, most)
+        start, first = time.perf_counter(), 0
+        self.host.report(about, log.label, count, "starting")
+        with closing(executor.work(plan, units)) as parts:
+            for number, (unit, part) in enumerate(parts, 1):
+                self.assembly.add(unit, part)
+                seconds = time.perf_counter() - start
+                if number <= workers:  # the first unit of a worker takes longer, as it compiles
+                    first, about.first_batch_s = about.frames, seconds
+                elif about.frames >= 3 * first and seconds > about.first_batch_s:
+                    rate = (about.frames - first) / (seconds - about.first_batch_s)
+                    about.frames_per_s = round(rate, 2)
+                self.host.report(about, log.label, count, "")
+        about.seconds = time.perf_counter() - start
 
     def _write_map(self, occupancy: OccupancyMap, log: "Log") -> None:
         """Write the map, or record why the log has no map."""
@@ -357,9 +349,52 @@ class CameraRun:
             about.warnings.append("no map: nothing was seen in the world")
 
 
-def _unit_sizes(frames: int, batch: int, workers: int, backend: BackendName) -> UnitSizes:
-    """Return sizes, multiples of ``batch``, of units that keep all workers busy to the end."""
-    most = UNIT_FRAMES if backend == "jax" else batch
-    batches = max(1, min(most, frames // (4 * workers)) // batch)
-    end_frames = workers * batches * batch if workers > 1 else 0
-    return UnitSizes(batches * batch, end_frames, max(1, batches // 4) * batch)
+class LogTask(NamedTuple):
+    """A log for a worker."""
+
+    files: "LogFiles"
+    folder: Path
+    """New folder for its results."""
+
+
+class LogJob(NamedTuple):
+    """Job of whole logs; each worker processes one log at a time.
+
+    If a worker can't process a log, the first process tries it again, and reports the error if that
+    fails too.
+    """
+
+    settings: RunSettings
+    memory: Memory
+    """Memory of the run, of which each worker takes its share."""
+    served: "Served | None"
+    """Format of the frames that GPUs compute; None if workers compute."""
+
+    @contextmanager
+    def open(self, process: WorkerProcess) -> Iterator[Callable[[LogTask], Any]]:
+        """Return :meth:`process` for tasks."""
+        yield partial(self.process, process)
+
+    def process(
+        self, process: WorkerProcess, task: LogTask
+    ) -> "list[LogSummary] | Calibration | None":
+        """Write the results of a log, see :func:`process_log`.
+
+        Returns:
+            The summaries of its cameras; its calibration if GPUs compute for another camera; None
+            if the first process has to process the log.
+        """
+        try:
+            host = Host(self.memory, partial(self.executor, process), log_per_worker=True)
+            return process_log(self.settings, *task, host)
+        except OtherCameraError as error:
+            return error.calibration
+        except Exception:
+            return None
+
+    def executor(self, process: WorkerProcess, log: "Log", memory: Memory) -> InProcess:
+        """Return the executor of a worker, with its share of the memory."""
+        share = share_of_worker(self.settings, log, memory, self.served)
+        device = process.device(self.served, self.settings)
+        alive = process.report_progress
+        return InProcess(self.settings, log, share, device, alive)

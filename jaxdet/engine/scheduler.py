@@ -4,28 +4,23 @@ import logging
 import os
 import signal
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from jaxdet.engine.executors import first_process
-from jaxdet.engine.log_job import LogJob, LogTask
-from jaxdet.engine.options import RunOptions
 from jaxdet.engine.output import OutputFolder
-from jaxdet.engine.placement import Machine, OtherCameraError, logs_for_workers
-from jaxdet.engine.pool import Pool
-from jaxdet.engine.process_log import process_log
-from jaxdet.engine.progress import Progress, ProgressCallback
-from jaxdet.engine.settings import RunSettings
-from jaxdet.engine.tasks import TaskQueue
-from jaxdet.errors import ConfigError, InputError, Interrupted, OutputError
+from jaxdet.engine.placement import Machine, logs_for_workers
+from jaxdet.engine.pool import Pool, TaskQueue
+from jaxdet.engine.process_log import LogJob, LogTask, process_log
+from jaxdet.engine.settings import Progress, ProgressCallback, RunOptions, RunSettings
+from jaxdet.errors import InputError, Interrupted, OutputError
 from jaxdet.io import LogFiles
 from jaxdet.results.durable import remove
 from jaxdet.results.summary import LogSummary, Summary
 from jaxdet.signals import stops_held_back, stops_raised
-
-if TYPE_CHECKING:
-    from jaxdet.types import Calibration
+from jaxdet.types import Calibration
 
 LOGGER = logging.getLogger("jaxdet")
 
@@ -37,15 +32,7 @@ def run_logs(
     pool: Pool,
     progress: ProgressCallback | None,
 ) -> Summary:
-    """Process all logs of a run that are not done yet.
-
-    Args:
-        settings: Settings of the run.
-        logs: Logs of the run.
-        place: Folder for the results.
-        pool: Worker processes.
-        progress: Called after each unit and each log.
-    """
+    """Process all logs of a run that are not done yet, and write their results to ``place``."""
     start, options, machine = time.perf_counter(), settings.options, None
     with OutputFolder(place, settings.record, options) as output:
         done = output.begin(logs)
@@ -79,52 +66,46 @@ def _standing(done: Collection[str], logs: Sequence[LogFiles], options: RunOptio
     return f"{some}; the same command{but} goes on"
 
 
+@dataclass
 class Scheduler:
-    """Processes the logs of a run and moves their results to the output folder.
+    """Processes the logs of a run and moves their results to the output folder."""
 
-    Args:
-        machine: Memory and processes.
-        logs: All logs of the run.
-        output: Folder of the results.
-        done: Summaries of the cameras of logs that are done, by the logs' names; logs are added.
-        progress: Called after each unit and each log.
-    """
+    machine: Machine
+    logs: Sequence[LogFiles]
+    """All logs of the run."""
+    output: OutputFolder
+    done: dict[str, list[LogSummary]]
+    """Summaries of the cameras of logs that are done, by the logs' names; logs are added."""
+    progress: ProgressCallback | None
 
-    def __init__(
-        self,
-        machine: Machine,
-        logs: Sequence[LogFiles],
-        output: OutputFolder,
-        done: dict[str, list[LogSummary]],
-        progress: ProgressCallback | None,
-    ) -> None:
-        self.machine, self.settings, self.pool = machine, machine.settings, machine.pool
-        self.logs, self.output, self.done = logs, output, done
-        self.progress = progress
-        self.numbers = {log.name: number for number, log in enumerate(logs)}
+    def __post_init__(self) -> None:
+        self.settings, self.pool = self.machine.settings, self.machine.pool
+        self.numbers = {log.name: number for number, log in enumerate(self.logs)}
 
     def run(self, left: dict[str, LogFiles]) -> None:
-        """Process logs: small ones one per worker, then the others, each by all workers."""
-        chosen = logs_for_workers(left, self.machine)
-        alone: dict[str, Calibration | None] = dict.fromkeys(chosen)
-        """Camera of each small log, None until it is known."""
-        while left:
-            ready = {name: left[name] for name, camera in alone.items() if self._ready(camera)}
-            if not ready:
-                name = next((name for name in left if name not in alone), None) or next(iter(alone))
-                alone.pop(name, None)
-                self._do_here(left.pop(name))
-                continue
-            for name, answer in self._by_workers(ready):
-                if isinstance(answer, OtherCameraError):
-                    alone[name] = answer.calibration
-                    continue
-                del alone[name]
-                if isinstance(answer, list):
-                    self._take(left.pop(name), answer)
+        """Process logs: small ones one per worker, then the others, each by all workers.
 
-    def _ready(self, camera: "Calibration | None") -> bool:
-        """Return whether a worker can process a log now."""
+        GPUs compute for the camera of the last log that all workers shared. A worker that gets a
+        log of another camera only returns the camera, and the log waits until GPUs compute for it.
+        """
+        cameras: dict[str, Calibration | None] = dict.fromkeys(logs_for_workers(left, self.machine))
+        """Logs for single workers, with their cameras; None until a worker has returned it."""
+        while left:
+            ready = [left[name] for name, camera in cameras.items() if self._ready(camera)]
+            for log, answer in self._by_workers(ready) if ready else ():
+                if isinstance(answer, Calibration):
+                    cameras[log.name] = answer
+                    continue
+                del cameras[log.name]
+                if isinstance(answer, list):
+                    self._take(left.pop(log.name), answer)
+            if not ready:
+                name = next(chain((name for name in left if name not in cameras), cameras))
+                cameras.pop(name, None)
+                self._do_here(left.pop(name))
+
+    def _ready(self, camera: Calibration | None) -> bool:
+        """Return whether a single worker can process a log now, whose camera may be unknown."""
         if not self.pool.devices:
             return True
         served = self.pool.serving
@@ -133,22 +114,21 @@ class Scheduler:
         return served.config == self.settings.config and camera in (None, served.calibration)
 
     def _by_workers(
-        self, logs: Mapping[str, LogFiles]
-    ) -> Iterator[tuple[str, list[LogSummary] | OtherCameraError | None]]:
-        """Let each worker process whole logs; yield the logs' names with the answers."""
+        self, logs: Sequence[LogFiles]
+    ) -> Iterator[tuple[LogFiles, list[LogSummary] | Calibration | None]]:
+        """Let each worker process whole logs; yield them with the answers of :class:`LogJob`."""
         self.pool.resize(self.machine.memory.workers)
         self.machine.workers = self.pool.count
-        given = self.machine.memory, len(self.pool.devices), self.pool.serving
-        job = LogJob(self.settings, *given)
-        tasks = [LogTask(log, self.output.staged(name)) for name, log in logs.items()]
+        job = LogJob(self.settings, self.machine.memory, self.pool.serving)
+        tasks = [LogTask(log, self.output.staged(log.name)) for log in logs]
         for task in tasks:
             remove(task.folder)  # left by a worker that was ended
-        first = tasks[0].files.name
+        first = logs[0].name
         self._report(LogSummary(first, ()), first, 0, "opening")
         for task, answer in self.pool.each(job, TaskQueue(tasks)):
             if not isinstance(answer, list):
                 remove(task.folder)
-            yield task.files.name, answer
+            yield task.files, answer
 
     def _do_here(self, log: LogFiles) -> None:
         """Process a log in this process, or divide it among all workers."""
@@ -177,11 +157,23 @@ class Scheduler:
         stands = doing or f"{about.frames} of {total} frames"
         LOGGER.debug("%s: %s", label, stands)
         if self.progress:
-            state = about.frames, total, about.num_bad, about.frames_per_s, about.bottleneck
-            number, count = self.numbers[about.log], len(self.logs)
             failed = sum(any(one.error for one in done) for done in self.done.values())
-            logs = len(self.done), failed
-            self.progress(Progress(label, number, count, *state, about.rates, doing, *logs))
+            self.progress(
+                Progress(
+                    log=label,
+                    log_number=self.numbers[about.log],
+                    num_logs=len(self.logs),
+                    done=about.frames,
+                    total=total,
+                    bad=about.num_bad,
+                    frames_per_s=about.frames_per_s,
+                    bottleneck=about.bottleneck,
+                    rates=about.rates,
+                    doing=doing,
+                    logs_done=len(self.done),
+                    logs_failed=failed,
+                )
+            )
 
     def _check_there(self, failed: LogFiles) -> None:
         """Check that the disk of a log that failed is still available.
@@ -216,24 +208,9 @@ def make_summary(
     """
     batch = machine.batch if machine else settings.options.batch_size or 0
     seconds = time.perf_counter() - start
-    summary = Summary(settings.options.backend, batch, logs, seconds, kept=kept)
-    shared = machine.workers if machine else 1
-    summary.workers = max([shared, *(log.workers for log in logs)])
-    return summary
+    workers = max([machine.workers if machine else 1, *(log.workers for log in logs)])
+    return Summary(settings.options.backend, batch, logs, seconds, workers, kept)
 
 
 def _gone(log: LogFiles) -> bool:
     return not all(map(os.path.exists, log.paths))
-
-
-def check_outside(output: Path, logs: Sequence[LogFiles]) -> None:
-    """Check that results are not written into a log that is a folder.
-
-    Raises:
-        ConfigError: The output folder is in such a log.
-    """
-    place = output.resolve()
-    for folder in (path for log in logs for path in log.paths if path.is_dir()):
-        if place.is_relative_to(folder.resolve()):
-            problem, remedy = f"is in the log {folder}", "give an --output next to it"
-            raise ConfigError(problem, path=str(output), remedy=remedy)

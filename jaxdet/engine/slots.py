@@ -10,14 +10,18 @@ import os
 import threading
 from collections.abc import Mapping
 from math import prod
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from jaxdet.config import Config
+from jaxdet.engine.device import Found
 from jaxdet.errors import WorkerError
 from jaxdet.results.rows import map_leaves
 from jaxdet.types import Calibration, Detections, GroundPlane
+
+if TYPE_CHECKING:
+    from jaxdet.io import Batch
 
 SLOTS = 4
 """Number of slots of each worker: it decodes into one slot while the other three are copied,
@@ -191,3 +195,44 @@ def attached(path: str) -> mmap.mmap:
         return mmap.mmap(file, os.fstat(file).st_size)
     finally:
         os.close(file)
+
+
+class SharedDevice:
+    """The GPUs of the main process, which compute for this worker.
+
+    Args:
+        served: Format of the frames, see :meth:`jaxdet.engine.pool.Pool.serve`.
+        pipe: Connection of this worker to :class:`jaxdet.engine.gpu.GpuThreads`.
+    """
+
+    ahead, doing = SLOTS - 1, "wait"
+
+    def __init__(self, served: Served, pipe: GpuPipe) -> None:
+        self.served, self._pipe = served, pipe.pipe
+        self._slots = served.slots(attached(served.path))
+        self._first, self._turn = pipe.worker * SLOTS, 0
+        self._replies: dict[int, Reply] = {}
+
+    def images(self) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+        """Return the memory that the next batch is decoded into."""
+        self._turn = (self._turn + 1) % SLOTS
+        depth, *color = self._slots[self._first + self._turn].images
+        return (depth, color[0]) if color else depth
+
+    def start(self, batch: "Batch") -> int:
+        """Start the batch whose images are in the memory that :attr:`images` returned last."""
+        slot = self._first + self._turn
+        assert batch.frames.plane is not None
+        self._pipe.send(Piece(slot, batch.frames.plane))
+        return slot
+
+    def finish(self, started: int) -> Found:
+        """Wait for a batch; its results are valid until its slot is started again."""
+        while started not in self._replies:
+            received: Reply = self._pipe.recv()
+            self._replies[received.slot] = received
+        reply = self._replies.pop(started)
+        if reply.error:
+            raise reply.error
+        inputs = self.served.unpacked(self._slots[started].results)
+        return Found(inputs, busy_s=reply.busy_s)

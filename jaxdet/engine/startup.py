@@ -49,13 +49,8 @@ def cache_folders() -> Caches:
     share a home folder. A folder that other users can write to is replaced by the default, see
     :func:`unsafe_caches`.
     """
-    chosen, own = _chosen_folders(), _folders_in(_user_cache())
-    return Caches(
-        *(
-            folder if not _is_unsafe(folder) else own[i] if not _is_unsafe(own[i]) else None
-            for i, folder in enumerate(chosen)
-        )
-    )
+    choices = zip(_chosen_folders(), _folders_in(_user_cache()), strict=True)
+    return Caches(*(next((f for f in pair if not _is_unsafe(f)), None) for pair in choices))
 
 
 def unsafe_caches() -> list[Path]:
@@ -64,16 +59,11 @@ def unsafe_caches() -> list[Path]:
 
 
 def _chosen_folders() -> Caches:
-    base = None
     chosen = os.environ.get(ENVIRONMENT, "")
-    if chosen.lower() != "off":
-        base = Path(chosen).expanduser().absolute() if chosen else _user_cache()
-    own_jax = os.environ.get("JAX_COMPILATION_CACHE_DIR")
-    own_warp = os.environ.get("WARP_CACHE_PATH")
-    found = _folders_in(base)
-    return Caches(
-        Path(own_jax) if own_jax else found.jax, Path(own_warp) if own_warp else found.warp
-    )
+    base = Path(chosen).expanduser().absolute() if chosen else _user_cache()
+    folders = _folders_in(None if chosen.lower() == "off" else base)
+    own = map(os.environ.get, ("JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH"))
+    return Caches(*(Path(o) if o else folder for o, folder in zip(own, folders, strict=True)))
 
 
 def _folders_in(base: Path | None) -> Caches:

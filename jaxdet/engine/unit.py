@@ -1,17 +1,23 @@
 """Processing of a unit: a range of a log's frames is read, computed and converted to rows."""
 
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxdet.engine.detected import color_to_read, detected, timed
-from jaxdet.engine.device import Device, Found, method_frames
+from jaxdet.engine.device import (
+    Device,
+    Found,
+    color_to_read,
+    detected,
+    method_frames,
+    timed,
+)
 from jaxdet.engine.plan import LogPlan, Unit
 from jaxdet.engine.startup import computing
-from jaxdet.engine.unit_result import UnitResult, rows_path
+from jaxdet.engine.unit_result import UnitResult, UnitResults, rows_path
 from jaxdet.errors import FrameStatus
 from jaxdet.floor.plane import join_planes
 from jaxdet.pipeline import detect_on_cpu
@@ -34,71 +40,62 @@ if TYPE_CHECKING:
     from jaxdet.io import Batch, Log
 
 
-class UnitProcessor:
-    """Processes units of an open log.
+def process_units(
+    log: "Log",
+    plan: LogPlan,
+    device: Device,
+    units: Iterable[Unit],
+    batch_done: Callable[[], object],
+) -> UnitResults:
+    """Yield units of an open log with their results, in order.
 
     Args:
         log: The log.
         plan: Plan of the log.
         device: Device that computes.
+        units: The units.
         batch_done: Called after each batch.
+
+    Raises:
+        JaxdetError: The log can't be read any more, or its index is wrong.
+        OutputError: The disk is full or broken.
     """
+    busy: Counter[str] = Counter()
+    read = _batches(log, plan, device, units, busy)
+    with closing(detected(read, plan.planes, device, busy)) as batches:
+        for builder, batch, found in batches:
+            unit = builder.unit
+            with timed(busy, "write"):
+                builder.add(batch, found)
+                builder.show(batch)
+            batch_done()
+            if batch.frames.number[len(batch.status) - 1] + 1 == unit.stop:
+                with timed(busy, "write"):
+                    result = builder.complete()
+                result.counts.busy_s.update(busy)
+                busy.clear()
+                yield unit, result
 
-    def __init__(
-        self, log: "Log", plan: LogPlan, device: Device, batch_done: Callable[[], object]
-    ) -> None:
-        self.log, self.plan, self.device = log, plan, device
-        self._batch_done = batch_done
-        self._busy: Counter[str] = Counter()
 
-    def process_unit(self, unit: Unit) -> UnitResult:
-        """Return the result of a unit.
-
-        Raises:
-            JaxdetError: The log can't be read any more, or its index is wrong.
-            OutputError: The disk is full or broken.
-        """
-        ((_, result),) = self.process_units([unit])
-        return result
-
-    def process_units(
-        self, units: Iterable[Unit]
-    ) -> Generator[tuple[Unit, UnitResult], None, None]:
-        """Yield units with their results, in order."""
-        given = self.plan.planes, self.device, self._busy
-        with closing(detected(self._batches(units), *given)) as batches:
-            for builder, batch, found in batches:
-                unit = builder.unit
-                with timed(self._busy, "write"):
-                    builder.add(batch, found)
-                    builder.show(batch)
-                self._batch_done()
-                if batch.frames.number[len(batch.status) - 1] + 1 == unit.stop:
-                    with timed(self._busy, "write"):
-                        result = builder.complete()
-                    result.counts.busy_s.update(self._busy)
-                    self._busy.clear()
-                    yield unit, result
-
-    def _batches(self, units: Iterable[Unit]) -> Iterator[tuple["_ResultBuilder", "Batch"]]:
-        """Yield the batches of units, each with the builder of its unit's result."""
-        plan, settings = self.plan, self.plan.settings
-        observed = any(getattr(one, "needs_color", False) for one in settings.observers.values())
-        given = {
-            "images": self.device.images,
-            **color_to_read(settings.config, observed or plan.drawn),
-        }
-        for unit in units:
-            builder = _ResultBuilder(plan, unit)
-            batches = self.log.batches(plan.batch_size, unit.start, unit.stop, **given)
-            while True:
-                with timed(self._busy, "read"):
-                    batch = next(batches, None)
-                if batch is None:
-                    break
-                self._busy["decode"] += batch.decoding_s  # pyright: ignore
-                self._busy["read"] -= batch.decoding_s  # pyright: ignore
-                yield builder, batch
+def _batches(
+    log: "Log", plan: LogPlan, device: Device, units: Iterable[Unit], busy: Counter[str]
+) -> Iterator[tuple["_ResultBuilder", "Batch"]]:
+    """Yield the batches of units, each with the builder of its unit's result."""
+    config, observers = plan.settings.config, plan.settings.observers
+    observed = any(getattr(one, "needs_color", False) for one in observers.values())
+    color = color_to_read(config, observed or plan.drawn)
+    for unit in units:
+        builder = _ResultBuilder(log, plan, unit)
+        given = plan.batch_size, unit.start, unit.stop
+        batches = log.batches(*given, images=device.images, **color)
+        while True:
+            with timed(busy, "read"):
+                batch = next(batches, None)
+            if batch is None:
+                break
+            busy["decode"] += batch.decoding_s  # pyright: ignore
+            busy["read"] -= batch.decoding_s  # pyright: ignore
+            yield builder, batch
 
 
 def lost_unit(
@@ -118,20 +115,20 @@ def lost_unit(
     Raises:
         OutputError: The disk is full or broken.
     """
-    numbers = [number for number in plan.frames if unit.start <= number < unit.stop]
-    batch, builder = log.without_images(numbers, status, reason), _ResultBuilder(plan, unit)
+    numbers = [number for number in log.frames if unit.start <= number < unit.stop]
+    batch, builder = log.without_images(numbers, status, reason), _ResultBuilder(log, plan, unit)
     plane = plan.planes.of(batch.frames.stamp_ns)
     batch = batch._replace(frames=batch.frames._replace(plane=plane))
     builder.add(batch, Found(no_inputs(len(numbers))))
-    text = f"{plan.where(unit)}: {status} ({reason})"
+    text = f"{unit.where(log.label)}: {status} ({reason})"
     return builder.complete()._replace(errors=[], lost=text)
 
 
 class _ResultBuilder:
     """Collects the batches of a unit and makes its rows together, as arrays of all frames."""
 
-    def __init__(self, plan: LogPlan, unit: Unit) -> None:
-        self.plan, self.unit = plan, unit
+    def __init__(self, log: "Log", plan: LogPlan, unit: Unit) -> None:
+        self.log, self.plan, self.unit = log, plan, unit
         self.held: list[tuple[Batch, GroundPlane, Detections]] = []
         """Inputs of the rows of each batch."""
         self.errors: list[str] = []
@@ -166,7 +163,7 @@ class _ResultBuilder:
         batch = batches[0].joined(batches)
         sources = plan.planes.sources(batch.frames.stamp_ns)
         given = batch, join_planes(planes), sources, joined_inputs(inputs), plan.settings.config
-        rows = batch_rows(plan.log, plan.camera, *given)
+        rows = batch_rows(self.log.name, self.log.camera, *given)
         counts.count(rows.frames, rows.obstacles)
         if plan.settings.options.map:
             occupancy.add_path(rows.T_world_camera)
@@ -194,7 +191,7 @@ class _ResultBuilder:
         corners = rectangles(found.obstacles, frames.calibration.depth_unit, config.footprint)
         for row, number in enumerate(frames.number.tolist()):
             name = f"pictures/{plan.picture}{number:06d}.png"
-            title = f"{plan.label}   frame {number}"
+            title = f"{self.log.label}   frame {number}"
             picture = draw_frame(frames, found, corners, row, config, title)
             path = plan.folder / name
             with writing(path):

@@ -1,7 +1,7 @@
 """Results of units, and their assembly into the tables, map and summary of a log."""
 
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -39,6 +39,10 @@ class UnitResult(NamedTuple):
     """Reason why the frames have no results, if the processes that worked on the unit were lost."""
 
 
+UnitResults = Generator[tuple[Unit, UnitResult], None, None]
+"""Units with their results."""
+
+
 def rows_path(scratch: Path, unit: Unit) -> Path:
     """Return the temporary file of a unit's rows."""
     return scratch / f"{unit.number:08d}.arrow"
@@ -56,14 +60,14 @@ class Assembly:
         self.map = OccupancyMap()
         self._scratch, self._about = scratch, about
         self._parts: dict[int, UnitResult] = {}
-        self._paths: dict[int, list[Any]] = {}
 
     def add(self, unit: Unit, part: UnitResult) -> None:
         """Add the result of a unit."""
         self._about.add(part.counts)
-        self._paths[unit.number], part.map.path = part.map.path, []
-        self.map.merge(part.map)  # of the map only counts are left, which add up in any order
-        self._parts[unit.number] = part._replace(map=OccupancyMap())
+        rest = OccupancyMap()  # counts add up in any order, the path waits for earlier units
+        rest.path, part.map.path = part.map.path, []
+        self.map.merge(part.map)
+        self._parts[unit.number] = part._replace(map=rest)
 
     def finish(self, observers: Mapping[str, Observer]) -> list["Notes"]:
         """Complete the summary and the map after the last unit.
@@ -73,9 +77,8 @@ class Assembly:
         """
         about, notes = self._about, []
         seen: dict[str, list[Any]] = {name: [] for name in observers}
-        for number in sorted(self._parts):
-            part = self._parts[number]
-            self.map.path += self._paths[number]
+        for _, part in sorted(self._parts.items()):
+            self.map.merge(part.map)
             notes.append(part.notes)
             about.pictures += part.pictures
             about.lost += [part.lost] if part.lost else []
@@ -92,13 +95,12 @@ class Assembly:
         Raises:
             OutputError: A temporary file of rows can't be read.
         """
-        for number in sorted(self._parts):
-            path = self._parts[number].rows
+        for _, part in sorted(self._parts.items()):
             try:
-                rows = Tables.load(path)
+                rows = Tables.load(part.rows)
             except (OSError, pa.ArrowInvalid) as error:
-                problem = f"temporary rows can't be read ({error})"
-                raise OutputError(problem, path=str(path), remedy="run the log again") from error
+                problem, remedy = f"temporary rows can't be read ({error})", "run the log again"
+                raise OutputError(problem, path=str(part.rows), remedy=remedy) from error
             yield rows
 
     def close(self) -> None:

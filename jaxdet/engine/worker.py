@@ -18,9 +18,9 @@ from contextlib import AbstractContextManager, ExitStack, suppress
 from multiprocessing.connection import wait
 from typing import Any, NamedTuple, Protocol
 
-from jaxdet.engine.device import Device, OwnDevice, SharedDevice, out_of_memory
+from jaxdet.engine.device import Device, OwnDevice, out_of_memory
 from jaxdet.engine.settings import RunSettings
-from jaxdet.engine.slots import GpuPipe, Served
+from jaxdet.engine.slots import GpuPipe, Served, SharedDevice
 from jaxdet.engine.startup import start_reading, start_up
 from jaxdet.errors import FrameStatus, JaxdetError, WorkerError
 from jaxdet.pipeline import BackendName

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxdet.engine import Planes, decide_planes, start_up
-from jaxdet.engine.detected import color_to_read, detected
-from jaxdet.engine.device import OwnDevice
+from jaxdet.engine.device import OwnDevice, color_to_read, detected
 from jaxdet.errors import CalibrationError, FrameStatus, InputError, RescanError, TopicError
 from jaxdet.io import Batch, Log, LogFiles, LogOptions, find_logs, open_log
 from jaxdet.results.manifest import fingerprint

@@ -1,19 +1,32 @@
-"""Runs of ``jaxdet run`` with addresses of buckets, ``--on`` or ``--share``."""
+"""Runs of many logs, on this machine or as tasks of a Ray cluster: ``jaxdet run`` with ``--on``.
 
+Addresses of buckets and ``--share`` come here too.
+"""
+
+import os
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import partial
 from os import PathLike
 from typing import Any
 
-from jaxdet.engine.progress import Progress, ProgressCallback
-from jaxdet.errors import ConfigError
-from jaxdet.fleet.logs import list_logs, share_of, size_of
+from jaxdet.engine.settings import Progress, ProgressCallback
+from jaxdet.errors import ConfigError, JaxdetError, WorkerError
+from jaxdet.fleet.logs import Log, list_logs, share_of, size_of
 from jaxdet.fleet.place import address
 from jaxdet.fleet.run_log import prepare, run_logs
 from jaxdet.memory import size_text
+
+_PER_SLOT = 4
+"""Number of tasks in flight per slot: no slot waits for the driver, and autoscalers see demand."""
+_LEAST_WINDOW = 32
+_MOST_LOGS = 8
+"""Maximum number of logs in a task; the next log is fetched while one is computed."""
+_PARTS = 16
+"""A task has at most 1 / _PARTS of a slot's share of all bytes."""
 
 
 def run_fleet(
@@ -52,11 +65,7 @@ def run_fleet(
     logs = list_logs(inputs, join=join)
     logs = share_of(logs, share) if share else logs
     logs.sort(key=size_of, reverse=True)
-    run: Callable[..., Iterator[dict[str, Any]]] = run_logs
-    if on:
-        from jaxdet.fleet.ray import run_on_ray
-
-        run = partial(run_on_ray, where=on)
+    run: Callable[..., Iterator[dict[str, Any]]] = partial(run_on_ray, where=on) if on else run_logs
     found, failed, size, begin = [], 0, 0, time.monotonic()
     with redirect_stdout(sys.stderr):  # Ray's messages about workers
         for outcome in run(logs, place, prepare(place, how)):
@@ -69,3 +78,118 @@ def run_fleet(
                 now = outcome["log"], len(found) - 1, len(logs), 0, 0, 0, None
                 progress(Progress(*now, doing=rate, **counts))
     return sorted(found, key=lambda outcome: outcome["name"])
+
+
+def run_on_ray(
+    logs: Sequence[Log], place: str, how: Mapping[str, Any], where: str = "ray"
+) -> Iterator[dict[str, Any]]:
+    """Run logs on the cluster of ``RAY_ADDRESS``, or on a local one; yield outcomes as they come.
+
+    Logs run in tasks, not actors, so that a retry can run on any node; worker processes are reused,
+    so that a program is compiled once per process (``max_calls=0``). Ray repeats a task whose
+    process or node is lost without a limit, as :func:`jaxdet.fleet.run_log` limits the attempts.
+
+    Args:
+        logs: The logs.
+        place: Address of the results.
+        how: As returned by :func:`jaxdet.fleet.prepare`.
+        where: ``ray``, or with the resources of a task ``ray:num_cpus=16,num_gpus=1``; by default
+            those of the smallest node that computes, so that each node has one task.
+
+    Raises:
+        ConfigError: Ray is not installed, or ``where`` is wrong.
+        JaxdetError: A task failed for another reason than its log; other tasks are cancelled.
+        WorkerError: The cluster is lost.
+    """
+    try:
+        import ray
+    except ImportError:
+        remedy = "install it with: pip install 'jaxdet[ray]'"
+        raise ConfigError("--on ray needs Ray", remedy=remedy) from None
+    wanted = _resources(where)
+    started = not ray.is_initialized()
+    if started:
+        address = os.environ.get("RAY_ADDRESS") or "local"
+        quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+        quiet |= {"include_dashboard": False} if address == "local" else {}
+        try:
+            ray.init(address, **quiet)
+        except Exception as error:
+            remedy = "check RAY_ADDRESS and the cluster; on a busy machine, try again"
+            text = str(error).partition("\n")[0]
+            raise WorkerError(f"Ray can't be used ({text})", remedy=remedy) from None
+    try:
+        yield from _results(ray, logs, place, how, wanted)
+    finally:
+        if started:
+            ray.shutdown()  # which ends the tasks of this driver
+
+
+def _results(
+    ray: Any, logs: Sequence[Log], place: str, how: Mapping[str, Any], wanted: dict[str, float]
+) -> Iterator[dict[str, Any]]:
+    resources = wanted or _of_a_node(ray.nodes())
+    how = {"workers": max(1, int(resources["num_cpus"])), **how, "driven": True}
+    remote = ray.remote(max_calls=0, max_retries=-1, **resources)(_task)
+    slots = _slots(ray, resources)
+    waiting, running = deque(chunks(logs, slots)), []
+    while waiting or running:
+        while waiting and len(running) < max(_LEAST_WINDOW, _PER_SLOT * _slots(ray, resources)):
+            running.append(remote.remote(waiting.popleft(), place, how))
+        done, running = ray.wait(running, timeout=10.0)
+        for one in done:
+            try:
+                yield from ray.get(one)
+            except ray.exceptions.RayTaskError as error:
+                cause = error.cause
+                raise cause if isinstance(cause, JaxdetError) else error from None
+            except ray.exceptions.RayError as error:
+                raise WorkerError(f"a task was lost ({type(error).__name__})") from None
+
+
+def _task(logs: Sequence[Log], place: str, how: Mapping[str, Any]) -> list[dict[str, Any]]:
+    return list(run_logs(logs, place, how))
+
+
+def chunks(logs: Sequence[Log], slots: int) -> list[list[Log]]:
+    """Divide logs into tasks, largest first; a task has few logs, and fewer if they are large."""
+    most = sum(map(size_of, logs)) / (max(1, slots) * _PARTS)
+    found: list[list[Log]] = []
+    room = 0.0
+    for log in sorted(logs, key=lambda log: (-size_of(log), log["name"])):
+        room -= size_of(log)
+        if not found or room < 0 or len(found[-1]) == _MOST_LOGS:
+            found.append([])
+            room = most - size_of(log)
+        found[-1].append(log)
+    return found
+
+
+def _resources(where: str) -> dict[str, float]:
+    """Return the resources in ``ray:num_cpus=16,num_gpus=1``."""
+    engine, _, text = where.partition(":")
+    try:
+        pairs = (part.split("=") for part in text.split(",") if part)
+        found = {name: float(number) for name, number in pairs}
+    except ValueError:
+        found = {"": 0.0}
+    if engine != "ray" or not {*found} <= {"num_cpus", "num_gpus"}:
+        remedy = "give --on ray, or --on ray:num_cpus=16,num_gpus=1 for instance"
+        raise ConfigError(f"--on {where} is not supported", remedy=remedy)
+    return {"num_cpus": 1.0, **found} if found else {}
+
+
+def _of_a_node(nodes: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Return the resources of the smallest node that computes, with GPUs if any node has GPUs."""
+    alive = [node["Resources"] for node in nodes if node["Alive"] and node["Resources"].get("CPU")]
+    with_gpu = [node for node in alive if node.get("GPU")]
+    chosen = with_gpu or alive or [{"CPU": 1.0}]
+    gpus = min(node.get("GPU", 0.0) for node in chosen)
+    return {"num_cpus": min(node["CPU"] for node in chosen), "num_gpus": gpus}
+
+
+def _slots(ray: Any, resources: Mapping[str, float]) -> int:
+    """Return how many tasks the cluster can run at a time."""
+    total = ray.cluster_resources()
+    names = {"CPU": resources["num_cpus"], "GPU": resources.get("num_gpus", 0.0)}
+    return int(min(total.get(name, 0.0) // each for name, each in names.items() if each))

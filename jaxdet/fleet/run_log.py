@@ -314,7 +314,7 @@ def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
         ConfigError: The address has results of another configuration or version, the store ignores
             conditional writes, or this machine's versions are not those of the run.
     """
-    from jaxdet.engine.single_log import record_of
+    from jaxdet.engine.runner import record_of
     from jaxdet.results.record import difference, digest
 
     url, how, own = address(place), dict(how), record_of(how)

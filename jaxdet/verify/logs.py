@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxdet.engine import decide_planes
-from jaxdet.engine.detected import color_to_read, detected
-from jaxdet.engine.device import OwnDevice
+from jaxdet.engine.device import OwnDevice, color_to_read, detected
 from jaxdet.engine.floors import evenly
 from jaxdet.errors import FrameStatus, JaxdetError
 from jaxdet.export.recordings import open_modes, some

@@ -11,8 +11,8 @@ import time
 import uuid
 from pathlib import Path
 
-from jaxdet.engine import single_log
-from jaxdet.engine.single_log import record_of
+from jaxdet.engine import runner
+from jaxdet.engine.runner import record_of
 from jaxdet.results.manifest import fingerprint
 from jaxdet.results.record import digest
 
@@ -39,7 +39,7 @@ def run_one(log_path, folder, how):
     content = b"".join(one.read_bytes() for one in paths)
     name = how["name"].replace("/", "+")
     if content.startswith(b"\x89MCAP"):
-        return single_log.run_one(log_path, folder, how)
+        return runner.run_one(log_path, folder, how)
     before = 0
     if journal := os.environ.get(JOURNAL):
         before = len(computed(Path(journal), name))

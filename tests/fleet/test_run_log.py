@@ -11,8 +11,8 @@ import pytest
 from jaxdet.errors import ConfigError, OutputError
 from jaxdet.fleet import list_logs, prepare, result_files, run_fleet, run_log, run_logs, spool
 from jaxdet.fleet import place as places
+from jaxdet.fleet.command import _of_a_node, _resources, chunks
 from jaxdet.fleet.place import Bucket, open_place
-from jaxdet.fleet.ray import _of_a_node, _resources, chunks
 from tests.fleet.stub import check_complete, check_results, computed
 
 LOGS, RESULTS = "s3://bucket/logs", "s3://bucket/results"
