@@ -6,7 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
+import warp as wp
+
+from jaxdet.runtime.calls import jax_callable
+from jaxdet_kernels import paper as kernels
 
 LOAD = """
 import sys
@@ -90,3 +95,16 @@ def test_damaged_code_is_compiled_again(cache: Path, tmp_path: Path) -> None:
     assert ended(start(tmp_path)) == "1500\n"
     (made,) = code_in(tmp_path)
     assert made.read_bytes() == original
+
+
+def test_a_program_does_not_depend_on_those_traced_before():
+    """Otherwise JAX would not find it in its cache, and compile it again."""
+
+    @jax_callable(kernels, [wp.array(dtype=wp.int32)] * 2, outputs=1)
+    def copied(source, found):
+        wp.copy(found, source)
+
+    program = jax.jit(lambda source: copied(source, output_dims={"found": source.shape}))
+    for size in (3, 4):
+        text = program.lower(jax.ShapeDtypeStruct((size,), "int32")).as_text()
+        assert "call_id = 0 " in text, text

@@ -20,7 +20,7 @@ from tests.runs import run_logs
 ROOT = Path(__file__).resolve().parents[1]
 
 
-WAYS = ("run:17", "overwrite:37", "overwrite-slow:37", "track:31", "track-slow:31")
+WAYS = ("run:23", "overwrite:53", "overwrite-slow:53", "track:43", "track-slow:43")
 EACH = [pytest.param((f"{way.partition(':')[0]}:3",), marks=pytest.mark.slow) for way in WAYS]
 
 

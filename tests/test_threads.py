@@ -17,7 +17,6 @@ from jaxdet.runtime import launch
 from jaxdet.runtime import threads as pool
 from jaxdet.signals import stops_held_back
 from tests.scenes import (
-    D435,
     align_all,
     assert_equal,
     blocks,
@@ -47,8 +46,10 @@ def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 @BATCHES
 def test_alignment_does_not_depend_on_the_number_of_threads(threads, batch):
-    for depth in noise_depth(batch, D435.depth), smooth_depth(batch, D435.depth):
-        assert_equal(align_all(depth, D435), reference.paper.align(depth, D435))
+    calibration = small(320, 240)
+    for image in noise_depth, smooth_depth:
+        depth = image(batch, calibration.depth)
+        assert_equal(align_all(depth, calibration), reference.paper.align(depth, calibration))
 
 
 @BATCHES

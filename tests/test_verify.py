@@ -134,7 +134,8 @@ def test_results_of_a_scanned_log_have_no_findings(tmp_path: Path) -> None:
     data = bytearray(log.read_bytes())
     data[chunk.chunk_start_offset + chunk.chunk_length - 9] ^= 0xFF
     log.write_bytes(data)
-    run_logs(log, tmp_path / "out", pictures=0)
+    config = Config(ground=GroundConfig(sample_frames=3))
+    run_logs(log, tmp_path / "out", config, pictures=0)
     report = verify(tmp_path / "out", sample=1)
     assert report.findings == [] and report.frames == 2 * FRAMES - 1
 

@@ -105,10 +105,19 @@ def sim_logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return paths
 
 
+WINDOWS = Config(ground=GroundConfig(source="estimate", window_s=0.3, sample_frames=3))
+
+
 def run(logs: list[Path], output: Path, **options: Any) -> Summary:
-    windows = Config(ground=GroundConfig(source="estimate", window_s=0.3, sample_frames=3))
-    config = options.pop("config", windows)
+    config = options.pop("config", WINDOWS)
     return run_logs(logs, output, config, **{"pictures": 3, **options})
+
+
+@pytest.fixture(scope="module")
+def warm() -> Iterator[engine.Runner]:
+    """Yield a runner whose two workers stay from test to test."""
+    with engine.Runner(backend="reference", workers=2, pictures=0) as runner:
+        yield runner
 
 
 @pytest.fixture(scope="module")
@@ -153,9 +162,9 @@ def test_results_depend_on_neither_workers_nor_batch_size(sim_logs, tmp_path):
         ("frame", "a.mcap: torn"),
     ],
 )
-def test_an_error_names_log_and_frame(sim_logs, tmp_path, way, text):
-    options = {"workers": 2, "batch_size": 4, "backend": "reference"}
-    summary = run(sim_logs[:1], tmp_path, observers={"odd": Odd(way)}, **options)
+def test_an_error_names_log_and_frame(sim_logs, tmp_path, warm, way, text):
+    options = {"observers": {"odd": Odd(way)}, "batch_size": 4}
+    summary = warm.run(sim_logs[:1], tmp_path, WINDOWS, **options)
     assert (summary.failed[0].error or "").startswith(text)
     names = sorted(path.name for path in (tmp_path / "a").iterdir())
     assert names == ["failed.json", *["report.txt"] * (way == "bug")]
@@ -209,10 +218,9 @@ def test_a_log_that_differs_from_its_index_is_scanned(
         assert (tmp_path / "a" / "a" / name).read_bytes() == (plain_run / name).read_bytes()
 
 
-def test_observers_are_named_in_the_summary(sim_logs, tmp_path):
+def test_observers_are_named_in_the_summary(sim_logs, tmp_path, warm):
     observers = {"odd": Odd(), "threads": Threads()}
-    options = {"workers": 2, "batch_size": 8, "backend": "reference", "pictures": 0}
-    run(sim_logs[:1], tmp_path, observers=observers, **options)
+    warm.run(sim_logs[:1], tmp_path, WINDOWS, observers=observers, batch_size=8)
     read = json.loads((tmp_path / "a" / "summary.json").read_text(encoding="utf-8"))["logs"][0]
     assert read["odd"] == [0, 8, 16]
     assert read["threads"] == [[1, "1", 1]] * 3

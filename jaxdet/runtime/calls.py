@@ -1,8 +1,10 @@
 """Functions on Warp arrays that jitted programs call, on the CPU and on CUDA."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from hashlib import blake2b
 from inspect import Parameter, Signature, signature
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
 
 import jax
@@ -20,7 +22,7 @@ memory. If there is too little for all teams, fewer teams are launched."""
 
 def jax_callable(
     kernels: ModuleType, types: Sequence[Any], outputs: int
-) -> Callable[[Callable[..., None]], Any]:
+) -> Callable[[FunctionType], Any]:
     """Make a function that launches kernels callable under ``jax.jit``.
 
     Its arguments are Warp arrays; the last of them are outputs, whose shapes a call passes as
@@ -31,30 +33,50 @@ def jax_callable(
     records no CUDA graph of it, because arrays move from batch to batch and the graph would have to
     be recorded again.
 
+    Warp numbers the calls of a function in the order in which programs are traced, and JAX's
+    compilation cache only finds a program with equal numbers. So each set of shapes has a function
+    of its own, with a name made of them, whose first call is number 0.
+
     Args:
         kernels: Module whose kernels the function launches; they are loaded before a call.
         types: Warp types of the arguments.
         outputs: Number of arguments that are outputs.
     """
 
-    def decorate(function: Callable[..., None]) -> Any:
+    def decorate(function: FunctionType) -> Any:
         function.__module__ = kernels.__name__
         function.__annotations__ = dict(zip(signature(function).parameters, types, strict=True))
-        made = wp.jax_callable(
-            function,
-            num_outputs=outputs,
-            graph_mode=wp.JaxCallableGraphMode.NONE,
-            vmap_method=None,
-            module_preload_mode=wp.JaxModulePreloadMode.NONE,
-        )
+
+        @cache
+        def made(shapes: str) -> Any:
+            digest = blake2b(shapes.encode(), digest_size=8).hexdigest()
+            return wp.jax_callable(
+                _copy(function, f"{function.__qualname__}_{digest}"),
+                num_outputs=outputs,
+                graph_mode=wp.JaxCallableGraphMode.NONE,
+                vmap_method=None,
+                module_preload_mode=wp.JaxModulePreloadMode.NONE,
+            )
 
         def call(*arrays: Any, output_dims: Mapping[str, tuple[int, ...]]) -> Any:
             prepare(kernels)
-            return made(*arrays, output_dims=dict(output_dims))
+            dims = dict(output_dims)
+            shapes = f"{[array.shape for array in arrays]} {dims}"
+            return made(shapes)(*arrays, output_dims=dims)
 
         return call
 
     return decorate
+
+
+def _copy(function: FunctionType, name: str) -> FunctionType:
+    """Return a copy of a function with another qualified name, as Warp reads both."""
+    parts = function.__code__, function.__globals__, function.__name__, None, function.__closure__
+    made = FunctionType(*parts)
+    made.__qualname__, made.__module__ = name, function.__module__
+    made.__annotations__ = function.__annotations__
+    made.__dict__.update(function.__dict__)
+    return made
 
 
 def frame_kernel(
@@ -85,6 +107,7 @@ def frame_kernel(
 
     types = {**kernel.func.__annotations__, "scratch": wp.array2d[wp.int32]}
     del types["next"]
+    launch.__qualname__ = kernel.key
     launch.__signature__ = Signature([Parameter(s, Parameter.POSITIONAL_OR_KEYWORD) for s in types])
     program = jax_callable(kernels, list(types.values()), outputs + 1)(launch)
 
