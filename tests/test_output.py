@@ -372,6 +372,8 @@ def test_a_folder_whose_replacement_was_interrupted_is_read_and_moved(
         assert results.tables().frames.num_rows == 3
     with open_results(copy) as results:
         assert len(results.stale) == 3
+    publishing.finish(copy)
+    assert log_folders(copy)[log_name("Day 2/c")] == copy / log_name("Day 2/c")
     run_logs(logs, copy, overwrite=True, **(HOW | {"pictures": 0}))
     assert not (copy / ".jaxdet").exists() and not [*copy.glob("*/pictures")]
     with open_results(copy) as results:
