@@ -324,9 +324,9 @@ def test_a_wrong_index_causes_a_scan(tmp_path, field):
         assert scanned.num_frames == 60
 
 
-@pytest.mark.parametrize("place", [0, 1, 9, 17, 25, 45])
-def test_a_chunk_that_contradicts_its_index_causes_a_scan(tmp_path, place):
-    """Opcode, length, times and sizes of a chunk record are compared with the chunk index."""
+@pytest.mark.parametrize("place", [0, 1, 45])
+def test_a_damaged_head_of_a_chunk_causes_a_scan(tmp_path, place):
+    """Opcode, length and size of the records of a chunk."""
     path = long_log(tmp_path / "x.mcap", 60, compression="lz4")
     flip(path, chunks_of(path)[40].chunk_start_offset + place)
     with open_only(str(path), LogOptions(scan=True)) as scanned, open_only(str(path)) as log:
@@ -335,10 +335,10 @@ def test_a_chunk_that_contradicts_its_index_causes_a_scan(tmp_path, place):
             assert_same_batch(one, other)
 
 
-def test_a_file_without_chunk_indexes_is_scanned(tmp_path):
+def test_a_file_without_chunk_indexes_is_opened_by_its_message_indexes(tmp_path):
     path = long_log(tmp_path / "x.mcap", index_types=IndexType.MESSAGE)
     with open_only(str(path)) as log:
-        assert not is_indexed(log) and log.num_frames == 60
+        assert is_indexed(log) and log.num_frames == 60
 
 
 @pytest.mark.parametrize("damaged", [COLOR, "/tf", DEPTH])

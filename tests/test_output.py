@@ -14,7 +14,7 @@ import pytest
 from jaxdet import engine
 from jaxdet.engine import process_log, run_one, scheduler
 from jaxdet.errors import ConfigError, Interrupted, JaxdetError, OutputError, ResultsError
-from jaxdet.io import Batch
+from jaxdet.io import Batch, find_logs
 from jaxdet.results import durable as publishing
 from jaxdet.results.layout import log_folders
 from jaxdet.results.names import log_name
@@ -300,6 +300,9 @@ def test_two_logs_with_one_name_are_refused(logs: Path, tmp_path: Path) -> None:
     shutil.copy(logs / "a.mcap", tmp_path)
     with pytest.raises(ConfigError, match=r"a.mcap: has the name of .*name the folder that both"):
         run_logs([logs / "a.mcap", tmp_path / "a.mcap"], tmp_path / "out", **HOW)
+    (log,) = find_logs([str(tmp_path / "a.mcap")])
+    with pytest.raises(ConfigError, match=r"a.mcap: has the name of .*a.mcap"):
+        engine.run([log, log], tmp_path / "out", **HOW)
     run_logs([tmp_path / "a.mcap"], tmp_path / "out", **HOW)
 
 

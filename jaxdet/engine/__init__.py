@@ -3,17 +3,18 @@
 Each module calls those below it::
 
     runner                       arguments of a run; worker processes that outlive it
-    settings                     options and configuration of a run, and their record in run.json
     scheduler, output            order of the logs; logs that are done; folders of results
     process_log                  processing of a log, from its files to its folder of results
     executors                    processes that work on the units of a log
     placement, memory            decision which processes work on a log; what fits into memory
     pool, worker                 worker processes, whose tasks are units of a log, or whole logs
     unit, unit_result            processing of a unit: frames are read, computed, made into rows
-    plan, floors, own_body       units of a log; priors of its floors; the robot in its images
-    device                       detection in batches, in this process or by its parent's GPUs
+    plan, own_body               units of a log; the robot in its images
     gpu, slots                   GPUs of the first process, which compute for all workers
+    device                       detection in batches, in this process or by its parent's GPUs
+    floors                       priors of the floors of a log
     startup                      caches of compiled programs and environment of a process
+    settings                     options and configuration of a run, and their record in run.json
 
 A small log is processed by one worker, a large log by all workers::
 

@@ -225,11 +225,12 @@ def _check_names(logs: Sequence["LogFiles"]) -> None:
     """Check that no two logs have the same folder of results."""
     found: dict[str, LogFiles] = {}
     for log in logs:
-        other = found.setdefault(log_name(log.name), log)
-        if other is not log:
-            problem = f"has the name of {other.paths[0]}: {log.name}"
+        name = log_name(log.name)
+        if name in found:
+            problem = f"has the name of {found[name].paths[0]}: {log.name}"
             remedy = "name the folder that both are in, and they have names by their paths in it"
             raise ConfigError(problem, path=str(log.paths[0]), remedy=remedy)
+        found[name] = log
 
 
 def _summaries(path: Path) -> list[LogSummary]:

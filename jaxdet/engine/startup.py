@@ -60,8 +60,10 @@ def unsafe_caches() -> list[Path]:
 
 def _chosen_folders() -> Caches:
     chosen = os.environ.get(ENVIRONMENT, "")
-    base = Path(chosen).expanduser().absolute() if chosen else _user_cache()
-    folders = _folders_in(None if chosen.lower() == "off" else base)
+    base = None
+    if chosen.lower() != "off":
+        base = Path(chosen).expanduser().absolute() if chosen else _user_cache()
+    folders = _folders_in(base)
     own = map(os.environ.get, ("JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH"))
     return Caches(*(Path(o) if o else folder for o, folder in zip(own, folders, strict=True)))
 

@@ -21,12 +21,12 @@ from jaxdet.fleet.run_log import prepare, run_logs
 from jaxdet.memory import size_text
 
 _PER_SLOT = 4
-"""Number of tasks in flight per slot: no slot waits for the driver, and autoscalers see demand."""
+"""Number of Ray tasks in flight per slot of the cluster: no slot waits for the driver, and autoscalers see demand."""
 _LEAST_WINDOW = 32
 _MOST_LOGS = 8
-"""Maximum number of logs in a task; the next log is fetched while one is computed."""
+"""Maximum number of logs in a Ray task; the next log is fetched while one is computed."""
 _PARTS = 16
-"""A task has at most 1 / _PARTS of a slot's share of all bytes."""
+"""A Ray task has at most 1 / _PARTS of a slot's share of all bytes."""
 
 
 def run_fleet(

@@ -9,7 +9,7 @@ The modules, from files to frames::
     files, splits                   paths -> the files of each log
       formats, container            a file of any format: its index, and chunks of MCAP records by
                                       position
-        mcap_file, chunks             MCAP: mcap_index reads the summary and the message indexes; if
+        mcap_file, chunks             MCAP: mcap_index walks over the records by their heads; if
                                         that shows damage, mcap_scan also reads the chunks
         bag                           ROS 1
         sqlite, image_folder          ROS 2 and folders, in which each message is a chunk

@@ -36,7 +36,7 @@ class FileIntegrity(NamedTuple):
     """Number of rejected records and chunks by reason."""
     lost_bytes: int = 0
     lost_spans_ns: tuple[tuple[int, int], ...] = ()
-    """First and last log time in the header of each rejected chunk."""
+    """First and last log time of rejected and missing chunks, of the first 1000."""
     last_log_time_ns: int = 0
     """Last log time of the messages found."""
     missing: Mapping[str, int] = {}

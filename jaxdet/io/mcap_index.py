@@ -1,13 +1,15 @@
 """Own index of an MCAP file: time and position of each message, without reading messages.
 
-The summary at the end of the file has the channels, the number of messages, and the positions of
-the chunks and of the message indexes that follow each chunk. These are checked against each other
-here, and against each message when it is read.
+The file is walked from record to record by their heads. Each chunk is followed by its message
+indexes, so chunks are skipped; the summary at the end of the file has the channels and the number
+of messages. The message indexes are checked against the summary here, and against each message when
+it is read.
 """
 
 import struct
 from array import array
-from collections.abc import Sequence
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from io import BytesIO
 from typing import NamedTuple
 
@@ -16,7 +18,6 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Statistics
-from numpy.lib.stride_tricks import sliding_window_view
 
 from jaxdet.io.chunks import (
     HEAD_BYTES,
@@ -32,21 +33,27 @@ from jaxdet.io.declarations import Declarations
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS
 
+TORN = 0
+"""Opcode for parts of the file that are not records."""
+_KNOWN, _LAST = {*Opcode}, {Opcode.DATA_END, Opcode.FOOTER}
+"""Record types of the specification, and those that end the data. Opcodes of 128 and more are
+reserved for applications."""
 _FOOTER = struct.Struct("<BQQQI")
 INDEX_HEAD = struct.Struct("<HI")
 """Channel and size of the entries of a message index."""
 INDEX_ENTRY_BYTES = 16
 """Size of an entry: log time and offset in the chunk."""
-_INDEX_RECORD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("size", "<u4")])
-"""Start of a message index record, up to its entries."""
-_PADDING = bytes(INDEX_ENTRY_BYTES)
-"""Bytes after the message indexes, so that even the last empty one can be viewed as entries."""
-_INDEX_PLACE = np.dtype([("channel", "<u2"), ("position", "<u8")])
-"""Entry of a chunk index: position of the message index of a channel in the file [byte]."""
-_CHUNK_BEGIN, _CHUNK_MIDDLE = struct.Struct("<QQQQI"), struct.Struct("<QI")
-_CHUNK_END = struct.Struct("<QQ")
-"""Fields of a chunk index, with the positions of the message indexes and the name of the
-compression between them."""
+_CHUNK_BEGIN, _CHUNK_NAME = struct.Struct("<QQQ8xI"), struct.Struct("<8xI")
+_CHUNK_SIZES = struct.Struct("<QQ")
+"""Fields of a chunk index that are read: log times, position, and the size of the positions of its
+message indexes, which follow; the size of the name of the compression, which follows; sizes of the
+compressed and the decompressed records."""
+_ODD_BYTES = 64
+"""Size below which records of unknown types count as odd, see ``MAX_ODD_RECORDS``."""
+_UNCHECKED_BYTES = 1 << 20
+"""Size of message indexes after which their number is checked again."""
+_AHEAD_BYTES = 384
+"""Minimum size of a read: usually message indexes, and the head of the next chunk."""
 
 
 class ChunkIndexes(NamedTuple):
@@ -58,18 +65,10 @@ class ChunkIndexes(NamedTuple):
     """Log time of the last message [ns]."""
     position: np.ndarray
     """Position of the chunk's record in the file [byte]."""
-    length: np.ndarray
-    """Size of the record [byte]."""
-    num_indexes: np.ndarray
-    """Number of message indexes."""
-    index_bytes: np.ndarray
-    """Size of the message indexes, which follow the chunk [byte]."""
     packed_size: np.ndarray
     """Size of the compressed records [byte]."""
     size: np.ndarray
     """Size of the decompressed records [byte]."""
-    places: np.ndarray
-    """Channels and positions of the message indexes of all chunks, see ``_INDEX_PLACE``."""
 
 
 class Summary(NamedTuple):
@@ -81,6 +80,71 @@ class Summary(NamedTuple):
     """Schemas and channels."""
     statistics: Statistics | None
     chunks: ChunkIndexes
+
+
+class FileRecord(NamedTuple):
+    """A record in the data section of a file."""
+
+    opcode: int
+    """Opcode, or ``TORN`` for a part that can't be parsed."""
+    position: int
+    """Position of the content in the file [byte]."""
+    length: int
+    """Declared length of the content [byte]."""
+
+
+class FileRecords:
+    """Records of the data section of a file.
+
+    Args:
+        file: File.
+    """
+
+    def __init__(self, file: LogFile) -> None:
+        self._file = file
+        self._start = self._end = 0
+        self._ahead = b""
+
+    def read(self, position: int, size: int) -> bytes:
+        """Return bytes of the file; further bytes are read with them, for the next calls.
+
+        Raises:
+            DamageError: The file ends earlier, or is unreadable there.
+        """
+        if position < self._start or position + size > self._end:
+            most = max(size, min(_AHEAD_BYTES, self._file.size - position))
+            self._ahead = self._file.read(position, most)
+            self._start, self._end = position, position + most
+        offset = position - self._start
+        return self._ahead[offset : offset + size]
+
+    def walk(self, restarts: Sequence[int] | np.ndarray = ()) -> Iterator[FileRecord]:
+        """Yield the records up to the end of the data.
+
+        A part that can't be parsed is a ``TORN`` record; it ends at the next position in
+        ``restarts`` (sorted), or at the end of the file.
+        """
+        position, odd = len(MAGIC), 0
+        while True:
+            start, content = position, position + RECORD_HEAD.size
+            try:
+                opcode, length = RECORD_HEAD.unpack(self.read(start, RECORD_HEAD.size))
+            except DamageError:
+                opcode, length = TORN, 0
+            position = content + length
+            odd += length == 0 or (opcode >= 0x80 and length < _ODD_BYTES)
+            is_known = opcode in _KNOWN or opcode >= 0x80
+            if is_known and position <= self._file.size and odd <= MAX_ODD_RECORDS:
+                yield FileRecord(opcode, content, length)
+                odd = 0 if opcode in (Opcode.CHUNK, Opcode.MESSAGE) else odd
+                if opcode in _LAST:
+                    return
+                continue
+            after = bisect_right(restarts, start)
+            position, odd = int(restarts[after]) if after < len(restarts) else self._file.size, 0
+            yield FileRecord(TORN, start, position - start)
+            if after == len(restarts):
+                return
 
 
 def read_summary(file: LogFile, at: int | None = None) -> Summary:
@@ -118,8 +182,7 @@ def read_summary(file: LogFile, at: int | None = None) -> Summary:
 
 
 def _parse(data: bytes, crc_is_right: bool) -> Summary:
-    declared, statistics = Declarations(), None
-    rows, places = array("Q"), bytearray()
+    declared, statistics, rows = Declarations(), None, array("Q")
     place = odd = count = 0
     while place < len(data):
         opcode, length = RECORD_HEAD.unpack_from(data, place)
@@ -127,37 +190,43 @@ def _parse(data: bytes, crc_is_right: bool) -> Summary:
         end = place + length
         if end > len(data):
             raise DamageError("record extends beyond the summary")
-        if opcode == Opcode.CHUNK_INDEX:
-            *begin, size = _CHUNK_BEGIN.unpack_from(data, place)
-            after = place + _CHUNK_BEGIN.size + size
-            index_bytes, name_size = _CHUNK_MIDDLE.unpack_from(data, after)
-            sizes = after + _CHUNK_MIDDLE.size + name_size
-            if size % _INDEX_PLACE.itemsize or sizes + _CHUNK_END.size > end:
-                raise DamageError("chunk index is damaged")
-            places += data[after - size : after]
-            num_indexes, last = size // _INDEX_PLACE.itemsize, _CHUNK_END.unpack_from(data, sizes)
-            rows.extend((*begin, num_indexes, index_bytes, *last))
-            place = end
-            continue
         odd += not length or not Opcode.SCHEMA <= opcode <= Opcode.SUMMARY_OFFSET
         count += opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
         if odd > MAX_ODD_RECORDS or count > MAX_DECLARATIONS:
             raise DamageError("summary has invalid records, or too many")
-        content = data[place:end]
-        if opcode == Opcode.SCHEMA:
-            declared.add_schema(content)
+        if opcode == Opcode.CHUNK_INDEX:
+            *begin, size = _CHUNK_BEGIN.unpack_from(data, place)
+            after = place + _CHUNK_BEGIN.size + size
+            (name_size,) = _CHUNK_NAME.unpack_from(data, after)
+            after += _CHUNK_NAME.size + name_size
+            if after + _CHUNK_SIZES.size > end:
+                raise DamageError("chunk index is damaged")
+            rows.extend((*begin, *_CHUNK_SIZES.unpack_from(data, after)))
+        elif opcode == Opcode.SCHEMA:
+            declared.add_schema(data[place:end])
         elif opcode == Opcode.CHANNEL:
-            declared.add_channel(content)
+            declared.add_channel(data[place:end])
         elif opcode == Opcode.STATISTICS:
-            statistics = Statistics.read(ReadDataStream(BytesIO(content)))
+            statistics = Statistics.read(ReadDataStream(BytesIO(data[place:end])))
         place = end
-    columns = np.frombuffer(rows, np.uint64).reshape(-1, 8).T
-    chunks = ChunkIndexes(*columns, places=np.frombuffer(places, _INDEX_PLACE))
-    return Summary(crc_is_right, declared, statistics, chunks)
+    columns = np.frombuffer(rows, np.uint64).reshape(-1, len(ChunkIndexes._fields)).T
+    return Summary(crc_is_right, declared, statistics, ChunkIndexes(*columns))
+
+
+class _Chunk(NamedTuple):
+    """A chunk in the file."""
+
+    position: int
+    """Position of the record's content [byte]."""
+    size: int
+    """Size of the decompressed records [byte]."""
+    start_ns: int
+    end_ns: int
+    has_crc: bool
 
 
 def read_mcap_index(file: LogFile) -> FileIndex:
-    """Read the index of a file from its summary and its message indexes.
+    """Read the index of a file from its message indexes and its summary.
 
     Raises:
         DamageError: A part is missing, or the message indexes contradict the summary.
@@ -165,94 +234,74 @@ def read_mcap_index(file: LogFile) -> FileIndex:
     summary = read_summary(file)
     if not summary.crc_is_right:
         raise DamageError("summary has a wrong CRC")
-    statistics = summary.statistics
-    if statistics is None or statistics.chunk_count != len(summary.chunks.position):
-        raise DamageError("summary has no statistics that fit its chunks")
-    chunks = _checked(file, summary.chunks)
-    num_chunks, index_bytes = len(chunks.position), int(chunks.index_bytes.sum())
-    file.check_messages(index_bytes // INDEX_ENTRY_BYTES + len(chunks.places) + num_chunks)
-    crcs, indexes = 0, []
-    rows = zip(*(column.tolist() for column in chunks[:-1]), strict=True)
-    for start_ns, end_ns, position, length, _, size_of_indexes, packed_size, size in rows:
-        begin = file.read(position, min(RECORD_HEAD.size + HEAD_BYTES, length))
-        record = RECORD_HEAD.unpack_from(begin)
-        head = read_chunk_head(begin[RECORD_HEAD.size :], record[1])
-        about = head.start_ns, head.end_ns, head.data_size, head.uncompressed_size
-        is_right = record == (Opcode.CHUNK, length - RECORD_HEAD.size)
-        if not is_right or about != (start_ns, end_ns, packed_size, size):
-            raise DamageError("chunk contradicts its index")
-        crcs += head.crc != 0
-        indexes.append(file.read(position + length, size_of_indexes))
-    messages = _indexed_messages(chunks, indexes)
-    about = FileIntegrity(file.path, chunks=num_chunks, chunks_with_crc=crcs, by_index=True)
+    records, chunks, size, checked_size = FileRecords(file), list[_Chunk](), 0, 0
+    owners, indexes = list[int](), list[bytes]()
+    for opcode, position, length in records.walk():
+        if opcode == Opcode.MESSAGE_INDEX:
+            file.check_size(length, "message index")
+            if length == INDEX_HEAD.size:  # it names no message
+                continue
+            owners.append(len(chunks) - 1)
+            indexes.append(records.read(position, length))
+            size += length
+            if size > checked_size + _UNCHECKED_BYTES:
+                file.check_messages(size // INDEX_ENTRY_BYTES + len(owners) + len(chunks))
+                checked_size = size
+        elif opcode == Opcode.CHUNK:
+            head = read_chunk_head(records.read(position, min(length, HEAD_BYTES)), length)
+            file.check_size(head.uncompressed_size)
+            if not head.start_ns <= head.end_ns <= MAX_TIME_NS:
+                raise DamageError("chunk ends before it begins")
+            about = head.uncompressed_size, head.start_ns, head.end_ns, head.crc != 0
+            chunks.append(_Chunk(position, *about))
+        elif opcode in (TORN, Opcode.MESSAGE):
+            raise DamageError("a record is damaged, or a message is outside of chunks")
+    file.check_messages(size // INDEX_ENTRY_BYTES)
+    messages = _indexed_messages(chunks, np.array(owners, np.int64), indexes)
+    crcs = sum(chunk.has_crc for chunk in chunks)
+    about = FileIntegrity(file.path, chunks=len(chunks), chunks_with_crc=crcs, by_index=True)
     infos = {key: summary.declared.info(key) for key in summary.declared.channels}
     known = file_index({key: info for key, info in infos.items() if info}, messages, about)
-    counts = {key: count for key, count in statistics.channel_message_counts.items() if count}
-    if counts != {key: item.messages for key, item in known.counts.items()}:
-        raise DamageError("message indexes contradict the statistics")
-    if sum(counts.values()) != statistics.message_count:
-        raise DamageError("statistics contradict themselves")
+    _check_counts(summary.statistics, len(chunks), known)
     return known
 
 
-def _checked(file: LogFile, chunks: ChunkIndexes) -> ChunkIndexes:
-    """Return chunk indexes as int64, after a check that the file has room for what they describe.
-
-    Raises:
-        DamageError: A value is out of range, or chunks overlap.
-    """
-    for sizes in (chunks.position, chunks.length, chunks.index_bytes, chunks.packed_size):
-        if (sizes > file.size).any():
-            raise DamageError("chunk index points beyond the end of the file")
-    if (chunks.length < RECORD_HEAD.size).any():
-        raise DamageError("chunk index is damaged")
-    file.check_size(int(chunks.size.max(initial=0)))
-    file.check_size(int(chunks.index_bytes.max(initial=0)), "message index")
-    if not ((chunks.start_ns <= chunks.end_ns) & (chunks.end_ns <= MAX_TIME_NS)).all():
-        raise DamageError("chunk ends before it begins")
-    found = ChunkIndexes(*(part.astype(np.int64) for part in chunks[:-1]), places=chunks.places)
-    order = np.argsort(found.position)
-    ends = (found.position + found.length + found.index_bytes)[order]
-    if (np.append(found.position[order], file.size)[1:] < ends).any():
-        raise DamageError("chunks overlap")
-    return found
-
-
-def _indexed_messages(chunks: ChunkIndexes, contents: Sequence[bytes]) -> np.ndarray:
+def _indexed_messages(
+    chunks: Sequence[_Chunk], owners: np.ndarray, contents: Sequence[bytes]
+) -> np.ndarray:
     """Return the input of :func:`jaxdet.io.file_index.file_index`.
 
     Args:
         chunks: Chunks of the file.
-        contents: Message indexes of each chunk.
+        owners: Number of the chunk of each message index, ``(T,)`` int64.
+        contents: Contents of the message index records.
 
     Raises:
         DamageError: A message index is damaged, or points beyond its chunk.
     """
-    data = np.frombuffer(b"".join([*contents, _PADDING]), np.uint8)
-    owner = np.repeat(np.arange(len(chunks.position)), chunks.num_indexes)
-    stop, indexes = np.cumsum(chunks.index_bytes)[owner], chunks.position + chunks.length
-    place = np.minimum(chunks.places["position"], MAX_TIME_NS).astype(np.int64) - indexes[owner]
-    left = chunks.index_bytes[owner] - place
-    if (place < 0).any() or (left < _INDEX_RECORD.itemsize).any():
-        raise DamageError("message index does not follow its chunk")
-    record = stop - left
-    heads = sliding_window_view(data, _INDEX_RECORD.itemsize)[record].view(_INDEX_RECORD)[:, 0]
-    size, entry = heads["size"].astype(np.int64), record + _INDEX_RECORD.itemsize
-    is_right = (heads["opcode"] == Opcode.MESSAGE_INDEX) & (size % INDEX_ENTRY_BYTES == 0)
-    is_right &= (heads["length"] == INDEX_HEAD.size + size) & (entry + size <= stop)
-    is_right &= heads["channel"] == chunks.places["channel"]
-    if not is_right.all() or size.sum() > len(data):
+    heads = b"".join(content[: INDEX_HEAD.size] for content in contents)
+    entries = b"".join(content[INDEX_HEAD.size :] for content in contents)
+    size = np.array([len(content) - INDEX_HEAD.size for content in contents], np.int64)
+    if (owners < 0).any() or (size < 0).any() or (size % INDEX_ENTRY_BYTES).any():
         raise DamageError("message index is damaged")
-    count = size // INDEX_ENTRY_BYTES
-    entry = np.repeat(entry - INDEX_ENTRY_BYTES * (np.cumsum(count) - count), count)
-    entry += INDEX_ENTRY_BYTES * np.arange(len(entry))
-    values = sliding_window_view(data, INDEX_ENTRY_BYTES)[entry].view("<u8")
-    if (values > MAX_TIME_NS).any():
+    head, values = np.frombuffer(heads, "<u2, <u4"), np.frombuffer(entries, "<u8")
+    if (head["f1"] != size).any() or (values > MAX_TIME_NS).any():
         raise DamageError("message index is damaged")
-    log_ns, offset = values.astype(np.int64).T
-    owner = np.repeat(owner, count)
-    is_right = (log_ns >= chunks.start_ns[owner]) & (log_ns <= chunks.end_ns[owner])
-    if not (is_right & (offset <= chunks.size[owner] - PAYLOAD_OFFSET)).all():
+    count, channel = size // INDEX_ENTRY_BYTES, head["f0"].astype(np.int64)
+    log_ns, offset = values.astype(np.int64).reshape(-1, 2).T
+    columns = np.array(chunks, np.int64).reshape(-1, len(_Chunk._fields)).T
+    position, most, start, end, _ = columns[:, np.repeat(owners, count)]
+    if not ((log_ns >= start) & (log_ns <= end) & (offset <= most - PAYLOAD_OFFSET)).all():
         raise DamageError("message index points beyond its chunk")
-    channel = np.repeat(heads["channel"].astype(np.int64), count)
-    return np.stack([channel, log_ns, chunks.position[owner] + RECORD_HEAD.size, offset])
+    return np.stack([np.repeat(channel, count), log_ns, position, offset])
+
+
+def _check_counts(statistics: Statistics | None, num_chunks: int, found: FileIndex) -> None:
+    """Check that the numbers of chunks and of messages per channel equal the statistics."""
+    if statistics is None or statistics.chunk_count != num_chunks:
+        raise DamageError("summary has no statistics that fit its chunks")
+    declared = {key: count for key, count in statistics.channel_message_counts.items() if count}
+    if declared != {key: item.messages for key, item in found.counts.items()}:
+        raise DamageError("message indexes contradict the statistics")
+    if sum(declared.values()) != statistics.message_count:
+        raise DamageError("statistics contradict themselves")

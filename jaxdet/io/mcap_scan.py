@@ -9,8 +9,6 @@ message indexes list, but were not found, are reported as lost.
 
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -27,86 +25,19 @@ from jaxdet.io.chunks import (
 from jaxdet.io.container import LogFile, Walk
 from jaxdet.io.declarations import ChannelInfo, Declarations
 from jaxdet.io.file_index import FileIndex, Place
-from jaxdet.io.limits import MAX_ODD_RECORDS
-from jaxdet.io.mcap_index import INDEX_ENTRY_BYTES, INDEX_HEAD, Summary, read_summary
+from jaxdet.io.mcap_index import (
+    INDEX_ENTRY_BYTES,
+    INDEX_HEAD,
+    TORN,
+    FileRecord,
+    FileRecords,
+    Summary,
+    read_summary,
+)
 from jaxdet.io.store import ChunkStore
 
-TORN = 0
-"""Opcode for parts of the file that are not records."""
-_KNOWN, _LAST = {*Opcode}, {Opcode.DATA_END, Opcode.FOOTER}
-"""Record types of the specification, and those that end the data. Opcodes of 128 and more are
-reserved for applications."""
-_ODD_BYTES = 64
-"""Size below which records of unknown types count as odd, see ``MAX_ODD_RECORDS``."""
 _MAX_SPANS = 1000
 """Maximum number of lost chunks whose log times are kept."""
-_AHEAD_BYTES = 384
-"""Minimum size of a read: usually message indexes, and the head of the next chunk."""
-
-
-class FileRecord(NamedTuple):
-    """A record in the data section of a file."""
-
-    opcode: int
-    """Opcode, or ``TORN`` for a part that can't be parsed."""
-    position: int
-    """Position of the content in the file [byte]."""
-    length: int
-    """Declared length of the content [byte]."""
-
-
-class FileRecords:
-    """Records of the data section of a file.
-
-    Args:
-        file: File.
-    """
-
-    def __init__(self, file: LogFile) -> None:
-        self._file = file
-        self._start = self._end = 0
-        self._ahead = b""
-
-    def read(self, position: int, size: int) -> bytes:
-        """Return bytes of the file; further bytes are read with them, for the next calls.
-
-        Raises:
-            DamageError: The file ends earlier, or is unreadable there.
-        """
-        if position < self._start or position + size > self._end:
-            most = max(size, min(_AHEAD_BYTES, self._file.size - position))
-            self._ahead = self._file.read(position, most)
-            self._start, self._end = position, position + most
-        offset = position - self._start
-        return self._ahead[offset : offset + size]
-
-    def walk(self, restarts: np.ndarray) -> Iterator[FileRecord]:
-        """Yield the records up to the end of the data.
-
-        A part that can't be parsed is a ``TORN`` record; it ends at the next position in
-        ``restarts`` (sorted), or at the end of the file.
-        """
-        position, odd = len(MAGIC), 0
-        while True:
-            start, content = position, position + RECORD_HEAD.size
-            try:
-                opcode, length = RECORD_HEAD.unpack(self.read(start, RECORD_HEAD.size))
-            except DamageError:
-                opcode, length = TORN, 0
-            position = content + length
-            odd += length == 0 or (opcode >= 0x80 and length < _ODD_BYTES)
-            is_known = opcode in _KNOWN or opcode >= 0x80
-            if is_known and position <= self._file.size and odd <= MAX_ODD_RECORDS:
-                yield FileRecord(opcode, content, length)
-                odd = 0 if opcode in (Opcode.CHUNK, Opcode.MESSAGE) else odd
-                if opcode in _LAST:
-                    return
-                continue
-            after = bisect_right(restarts, start)
-            position, odd = int(restarts[after]) if after < len(restarts) else self._file.size, 0
-            yield FileRecord(TORN, start, position - start)
-            if after == len(restarts):
-                return
 
 
 def rebuild_mcap_index(file: LogFile) -> FileIndex:
