@@ -1,4 +1,4 @@
-"""Functions on Warp arrays that jitted programs call, on the CPU and on CUDA."""
+"""Calls of Warp kernels by jitted JAX programs, on the CPU and on CUDA."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
@@ -16,26 +16,26 @@ from jaxdet.signals import stops_held_back
 from jaxdet_kernels.build import BLOCKS, WIDTH
 
 SCRATCH_SHARE = 8
-"""All teams on CUDA together use at most ``1 / SCRATCH_SHARE`` of the device's memory as scratch
-memory. If there is too little for all teams, fewer teams are launched."""
+"""Divisor of a CUDA device's memory that gives the maximum scratch memory of all teams together. If
+this is too little for all teams, fewer teams are launched."""
 
 
 def jax_callable(
     kernels: ModuleType, types: Sequence[Any], outputs: int
 ) -> Callable[[FunctionType], Any]:
-    """Make a function that launches kernels callable under ``jax.jit``.
+    """Return a decorator that lets ``jax.jit`` programs call a function that launches kernels.
 
-    Its arguments are Warp arrays; the last of them are outputs, whose shapes a call passes as
-    ``output_dims``. Scalars are not supported: Warp numbers the values of scalars without a lock,
+    The function's arguments are Warp arrays, the last of which are outputs; a call passes their
+    shapes as ``output_dims``. Scalars are not supported: Warp numbers their values without a lock,
     so two threads that trace at the same time could receive each other's values.
 
-    :func:`warp.jax_callable` is experimental. It runs one function at a time per process. XLA
-    records no CUDA graph of it, because arrays move from batch to batch and the graph would have to
-    be recorded again.
+    :func:`warp.jax_callable` is experimental. It runs one function at a time per process. No CUDA
+    graph is recorded, because arrays have other addresses in each batch, so that the graph would
+    have to be recorded again.
 
     Warp numbers the calls of a function in the order in which programs are traced, and JAX's
-    compilation cache only finds a program with equal numbers. So each set of shapes has a function
-    of its own, with a name made of them, whose first call is number 0.
+    compilation cache only finds a program with equal numbers. So each set of shapes gets its own
+    copy of the function, with a hash of the shapes in its name; its first call has number 0.
 
     Args:
         kernels: Module whose kernels the function launches; they are loaded before a call.
@@ -70,7 +70,7 @@ def jax_callable(
 
 
 def _copy(function: FunctionType, name: str) -> FunctionType:
-    """Return a copy of a function with another qualified name, as Warp reads both."""
+    """Return a copy of a function, with ``name`` as the qualified name that Warp reads."""
     parts = function.__code__, function.__globals__, function.__name__, None, function.__closure__
     made = FunctionType(*parts)
     made.__qualname__, made.__module__ = name, function.__module__
@@ -82,17 +82,17 @@ def _copy(function: FunctionType, name: str) -> FunctionType:
 def frame_kernel(
     kernels: ModuleType, kernel: Any, words: Any, outputs: int
 ) -> Callable[..., Sequence[jax.Array]]:
-    """Make a function that runs a kernel on a batch, callable under ``jax.jit``.
+    """Return a function that runs a kernel on a batch and can be called under ``jax.jit``.
 
-    Its arguments are the inputs of the kernel; ``size``, the arguments of the kernel ``words``; and
-    ``output_dims``, the shapes of the outputs by name. It returns the outputs. Threads on the CPU,
-    or teams of threads on CUDA, take frames in turn.
+    The function's arguments are the inputs of the kernel; ``size``, the arguments of ``words``; and
+    ``output_dims``, the shapes of the outputs by name. It returns the outputs. The frames are
+    divided among threads on the CPU, and among teams of threads on CUDA.
 
     Args:
         kernels: Module of the kernel.
-        kernel: Kernel whose parameters are arrays, first one with ``B`` rows, last the outputs;
-            then ``scratch`` and ``next`` as for :func:`on_cores`.
-        words: Kernel that reports the words of scratch memory, see :func:`reported_words`.
+        kernel: Kernel whose parameters are arrays, the first with ``B`` rows and the last the
+            outputs, then ``scratch`` and ``next`` as for :func:`on_cores`.
+        words: Kernel that reports the size of scratch memory, see :func:`reported_words`.
         outputs: Number of outputs.
     """
 
@@ -130,13 +130,13 @@ def prepare(module: Any) -> None:
 
 
 def device_of_jax(module: Any) -> Any:
-    """Return the device that JAX computes on as Warp's, with a module's kernels loaded."""
+    """Return the Warp device that JAX computes on, after a module's kernels are loaded for it."""
     prepare(module)
     return wp.device_from_jax(jax.local_devices()[0])
 
 
 def most_teams(frames: int, words: int) -> int:
-    """Return the number of teams for which there is scratch memory on the default device."""
+    """Return the number of teams to launch, limited by frames, processors and scratch memory."""
     stats = jax.local_devices()[0].memory_stats() or {}
     room = stats.get("bytes_limit", SCRATCH_SHARE << 30) // SCRATCH_SHARE
     return min(frames, BLOCKS * MULTIPROCESSORS, max(room // (4 * max(words, 1)), 1))

@@ -1,4 +1,4 @@
-"""Cache of kernels compiled ahead of time for the CPU, per version of their sources and machine."""
+"""Cache of kernels compiled ahead of time for the CPU: a folder per module, version and machine."""
 
 import os
 import platform
@@ -26,10 +26,10 @@ _loaded: set[str] = set()
 def load_for_cpu(module: ModuleType) -> None:
     """Load the kernels of a module for the CPU; compile them if no process has done so yet.
 
-    They are stored in a separate folder of Warp's cache, which is renamed to its final name only
-    after its code was loaded: a crash or a full disk leaves nothing that a later start would use. A
-    file with a wrong checksum is compiled again. If several processes start together, one compiles
-    and the others wait for it.
+    Compiled files are written to a new folder in Warp's cache, which gets its final name only after
+    the code was loaded, so later processes never use the files of a crash or a full disk. If a
+    checksum is wrong, the module is compiled again. If several processes start together, one
+    compiles and the others wait until it has finished.
     """
     with _lock:
         if module.__name__ in _loaded:
@@ -92,7 +92,7 @@ def _new_folder(parent: Path) -> Path:
     try:
         parent.mkdir(parents=True, exist_ok=True)
         return Path(tempfile.mkdtemp(prefix=".compiling-", dir=parent))
-    except OSError:  # loaded code needs no files
+    except OSError:  # the cache can't be written; code needs no files once it is loaded
         return Path(tempfile.mkdtemp())
 
 
@@ -100,7 +100,7 @@ def _new_folder(parent: Path) -> Path:
 def _version() -> str:
     """Return a hash of the kernels' sources, Warp's version and the processor's instruction set.
 
-    It includes the path of the sources, which is part of Warp's name of a compiled module:
+    The hash includes the path of the sources, which is part of Warp's name of a compiled module:
     otherwise two installations would overwrite each other's kernels.
     """
     sources = Path(jaxdet_kernels.__file__ or "").parent
@@ -116,7 +116,7 @@ def _version() -> str:
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Hold the lock for compiling into a cache, if the system supports locks."""
+    """Hold the lock by which one process at a time compiles, if the system supports locks."""
     try:
         import fcntl
 

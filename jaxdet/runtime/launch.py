@@ -1,4 +1,4 @@
-"""Launches of kernels: on the CPU each core takes frames; on CUDA each team of threads does."""
+"""Launches of kernels on all cores of the CPU, and the sizes of the scratch memory of kernels."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -19,10 +19,10 @@ MULTIPROCESSORS = 132
 
 registering = Lock()
 """Lock for Warp's tables of contexts, streams and kernels, which are not thread-safe: if two
-threads request a module, Warp loads it twice and drops the first copy."""
+threads request a module at once, Warp loads it twice and drops the first copy."""
 
 _lock = Lock()
-"""Lock that lets one kernel at a time run on the CPU, on all cores, with the memory ``_kept``."""
+"""Lock of a kernel that runs on the CPU: it uses all cores and the scratch memory in ``_kept``."""
 
 
 def on_cores(kernel: Any, arguments: Sequence[Any], frames: int, scratch: int) -> None:
@@ -30,10 +30,10 @@ def on_cores(kernel: Any, arguments: Sequence[Any], frames: int, scratch: int) -
 
     Args:
         kernel: Kernel with parameters ``arguments``, then ``scratch (words,)`` int32, which is
-            reused by later calls, and ``next (1,)`` int32, the first frame that no thread has
-            taken.
+            reused by later calls, and ``next (1,)`` int32, the index of the first frame that no
+            thread has taken.
         arguments: Warp arrays, structs and numbers.
-        frames: ``B``.
+        frames: Number of frames, ``B``.
         scratch: Number of words of scratch memory per thread.
     """
     count = min(threads.threads(), frames)
@@ -48,7 +48,7 @@ _kept: dict[int, Any] = {}  # scratch memory by thread
 
 
 def _memory(thread: int, words: int) -> Any:
-    """Return a thread's memory, aligned to a cache line, as large as the largest request so far."""
+    """Return a thread's scratch memory, at least ``words`` words, aligned to a cache line."""
     if thread not in _kept or _kept[thread].size < words:
         room = np.empty(words + LINE, np.int32)
         first = -room.ctypes.data % (4 * LINE) // 4

@@ -1,4 +1,4 @@
-"""Named arrays packed into rows of 32-bit words; there is one row per frame, or one for all."""
+"""Named arrays packed into rows of 32-bit words: one row per frame, or one row for all frames."""
 
 import math
 from collections.abc import Mapping
@@ -19,9 +19,9 @@ class Layout:
     Arrays of bool have one byte per element, and other arrays have one word.
 
     Args:
-        shapes: Shapes of the arrays, in the order in which C++ reads their offsets, without the
-            axis of rows.
-        bools: Names of bool arrays; the others are int32.
+        shapes: Shapes of the arrays without the axis of rows, in the order in which the arrays are
+            listed in C++.
+        bools: Names of bool arrays; all other arrays have 32-bit elements.
     """
 
     def __init__(self, shapes: Shapes, bools: frozenset[str] = frozenset()) -> None:
@@ -29,7 +29,7 @@ class Layout:
         self.begin: dict[str, int] = {}
         """Offset of each array in a row."""
         self.words = 0
-        """Number of words of a row, at least those of one cache line."""
+        """Number of words per row, at least ``LINE``."""
         for name, shape in self.shapes.items():
             self.begin[name] = self.words
             self.words += -(-self._length(name, shape) // LINE) * LINE
@@ -48,7 +48,7 @@ class Layout:
         return words.reshape(len(rows), *shape)
 
     def pack(self, batch: int, arrays: Mapping[str, Array], fill: int = 0) -> np.ndarray:
-        """Pack arrays ``(B, ...)`` into rows ``(B, words)`` int32, with ``fill`` elsewhere."""
+        """Pack arrays ``(B, ...)`` into rows ``(B, words)`` int32; all other words are ``fill``."""
         rows = np.full((batch, self.words), fill, np.int32)
         for name, array in arrays.items():
             flat = np.ascontiguousarray(array).reshape(batch, -1)

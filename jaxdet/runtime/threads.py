@@ -20,8 +20,8 @@ def on_all_cores(work: Sequence[Callable[[], object]]) -> None:
     """Run the first function in this thread and the others in threads of their own, in parallel.
 
     By default, the system places threads that wake each other on one core for milliseconds. So each
-    thread starts on its own core if all cores are used, and may be moved once it runs: a thread
-    pinned permanently would have to wait while another program uses its core.
+    thread is pinned to its own core while it is started, if there is one thread per core. A thread
+    that remained pinned would have to wait while another program uses its core.
     """
     own, *others = work
     if not others:
@@ -66,9 +66,9 @@ class _Thread:
 
 @lru_cache(maxsize=1)
 def _pool() -> tuple[int | None, list[_Thread]]:
-    """Return the core of the caller and the other threads, :func:`threads` in all.
+    """Return the core for the calling thread, and all other threads of a kernel.
 
-    Cores are None unless all of them are used.
+    Cores are None, and threads are not pinned, unless there is one thread per core.
     """
     allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     count = threads()

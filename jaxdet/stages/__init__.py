@@ -1,6 +1,6 @@
 """JAX and Warp implementation of the functions of :mod:`jaxdet.reference`, on batches.
 
-Names are imported when they are used, so that those of ``_on_cpu`` need no JAX.
+Each name is imported on first use, so that the functions of ``_on_cpu`` do not load JAX.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Execution of batches of any size by programs compiled for few sizes."""
+"""Execution of batches of any size by programs that are compiled for a small number of sizes."""
 
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -11,14 +11,14 @@ from jaxdet.errors import ConfigError
 from jaxdet.types import GroundPlane
 
 PART_BYTES = 96 << 20
-"""Maximum size of the images that the CPU computes together, 64 frames of 640x480: memory for
-results is proportional to it, and the fixed cost of a call is small for this number of frames."""
+"""Maximum size of the images that the CPU computes together [bytes], 128 depth images of 640x480:
+the memory for results grows with it, and the fixed cost of a call is small for so many frames."""
 STAGED_PART_BYTES = 12 << 20
 """``PART_BYTES`` for a program that runs one stage after the other on all frames: the process
-reuses temporaries of this size, but obtains larger ones as fresh pages from the system in every
-call."""
+reuses the memory of temporary arrays of this size, but for larger ones it obtains new pages from
+the system in every call."""
 PAD_BELOW = 8
-"""Minimum size of batches that the CPU computes without padding."""
+"""Minimum number of frames of a batch that the CPU computes without padding."""
 LEAST_CAPABILITY = 8.0
 """Minimum compute capability of GPUs: from 8.0 on a warp sums integers in one instruction."""
 
@@ -29,8 +29,8 @@ def check_device(images: Any) -> None:
     Images on a device are processed there, images on the host on the default device.
 
     Raises:
-        ConfigError: The GPU is older than kernels are compiled for, or images are spread over
-            several devices.
+        ConfigError: The GPU has a compute capability below ``LEAST_CAPABILITY``, or images are
+            spread over several devices.
     """
     devices = images.devices() if isinstance(images, jax.Array) else {default_device()}
     if len(devices) > 1:
@@ -40,17 +40,17 @@ def check_device(images: Any) -> None:
 
 
 def check_capability(devices: Iterable[Any]) -> None:
-    """Raise an error for GPUs older than the kernels are compiled for.
+    """Raise an error for GPUs that the kernels do not support.
 
     Raises:
-        ConfigError: One of the devices is too old.
+        ConfigError: A GPU has a compute capability below ``LEAST_CAPABILITY``.
     """
     for device in devices:
         capability = getattr(device, "compute_capability", None)
         if capability and float(capability) < LEAST_CAPABILITY:
             raise ConfigError(
-                f"{device.device_kind} has compute capability {capability}, and "
-                f"{LEAST_CAPABILITY} (Ampere) is needed: choose another GPU by "
+                f"{device.device_kind} has compute capability {capability}, but "
+                f"{LEAST_CAPABILITY} (Ampere) or later is needed: choose another GPU by "
                 "CUDA_VISIBLE_DEVICES, or JAX_PLATFORMS=cpu"
             )
 
@@ -76,15 +76,15 @@ def in_parts(
 ) -> Any:
     """Return the results of a program for a batch of any size.
 
-    A batch is computed at once; on the CPU it is split into parts of at most ``PART_BYTES`` of
-    images, whose number of frames is a power of two. Batches on the host are padded to a power of
-    two with frames without depth if they have fewer than ``PAD_BELOW`` frames or are for CUDA; the
-    results of the padding are dropped.
+    CUDA computes a batch at once; the CPU computes parts of at most ``PART_BYTES`` of images, whose
+    number of frames is a power of two. Images on the host are padded to a power of two, with frames
+    without depth, if there are fewer than ``PAD_BELOW`` frames or CUDA is used; the results of the
+    padding are dropped.
 
     Args:
         run: Function of images and planes that returns a tree of arrays with one row per frame.
         images: Arrays ``(B, ...)``, one per kind of image, ``B`` at least 1.
-        plane: ``B`` planes.
+        plane: Planes of the ``B`` frames.
         staged: Whether the program runs one stage after the other on all frames, see
             ``STAGED_PART_BYTES``.
 
@@ -136,7 +136,7 @@ def _part_size(images: tuple[Any, ...], part_bytes: int) -> int:
 
 
 def _next_part(left: int, most: int) -> int:
-    """Return the number of remaining frames that are computed together."""
+    """Return how many of the ``left`` remaining frames the next part has, at most ``most``."""
     if left >= most or left < PAD_BELOW or on_cuda():
         return min(left, most)
     return 1 << left.bit_length() - 1

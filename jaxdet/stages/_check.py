@@ -20,7 +20,7 @@ ANSWER = "e76c34648f4635c11c8c13222adcb64c"
 
 
 def check_frames() -> Frames:
-    """Return two frames of a floor, a box and a wall, with priors of the floor."""
+    """Return two frames that show floor, a box and a wall; only the first has a prior."""
     camera = CALIBRATION.depth
     v, u = np.mgrid[: camera.height, : camera.width]
     below = v - camera.height // 2
@@ -35,7 +35,7 @@ def check_frames() -> Frames:
 
 
 def digest(found: Detections) -> str:
-    """Return the digest of detections, as int32; it does not depend on the prior."""
+    """Return a hash of the arrays of detections as int32, without the prior and ``nearest``."""
     assert found.scene is not None
     arrays = {**found.obstacles._asdict(), **found.scene._asdict()}
     total = blake2b(digest_size=16)

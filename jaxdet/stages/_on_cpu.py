@@ -1,4 +1,4 @@
-"""The kernels on the CPU without JAX, whose start takes longer than processing a few frames."""
+"""Kernels on the CPU without JAX, because to load JAX takes longer than to process a few frames."""
 
 import numpy as np
 

@@ -1,8 +1,8 @@
 """Program of all steps on depth images: its arrays and the launches of its kernels, without JAX.
 
 All tables for a camera and a configuration are packed into one buffer, which begins with a header:
-sizes, then the offset of each array. ``program.h`` reads it in the same order. All results of a
-frame except the contours are one row of words.
+sizes, then the offsets of the tables that are not in ``_FIXED``. ``program.h`` reads the buffer in
+the same order. All results of a frame except the contours are one row of words.
 """
 
 from collections.abc import Mapping
@@ -54,7 +54,7 @@ _HEADER = 32
 
 @lru_cache(maxsize=64)
 def work_layout(rows: int, columns: int) -> Layout:
-    """Return the layout of a frame's intermediate arrays: its floor frame, and fields of cells."""
+    """Return the layout of a frame's intermediate arrays: floor frame, and arrays of cells."""
     by_cell = "x", "y", "z", "nearest_pixel", "right", "forward", "height", "surface", "label"
     bools = "keep", "free_cell", "low"
     shapes = {"frame": (13,), **dict.fromkeys((*by_cell, *bools), (rows, columns))}
@@ -84,7 +84,7 @@ def record_layout() -> Layout:
 def floors(planes: GroundPlane, config: Config, unit: float) -> np.ndarray:
     """Return the prior of each frame's floor, as the program reads it, ``(B, 17)`` int32.
 
-    These are the results of :func:`prior_units` and of :func:`floor_frames`.
+    A row has the values of :func:`prior_units`, then those of :func:`floor_frames`.
     """
     prior = prior_units(planes, Scale(unit, config.floor.noise_per_m))
     return np.hstack([prior, floor_frames(planes, unit)])
@@ -95,7 +95,7 @@ def packed(sizes: Sizes, tables: Mapping[str, Array], device: Any) -> np.ndarray
 
     Args:
         sizes: Sizes of the images and the grid.
-        tables: Tables by name; those that no executed step reads may be missing.
+        tables: Tables by name; tables that none of the steps to run reads may be missing.
         device: Warp device that the program runs on.
 
     Raises:
@@ -103,7 +103,7 @@ def packed(sizes: Sizes, tables: Mapping[str, Array], device: Any) -> np.ndarray
     """
     rows, columns = sizes.rows, sizes.columns
     if max(rows, columns) > MAX_CONTOUR:
-        raise ValueError(f"{columns} x {rows} cells, at most {MAX_CONTOUR} x {MAX_CONTOUR} fit")
+        raise ValueError(f"expected at most {MAX_CONTOUR} cells per side, got {columns} x {rows}")
     made = {name: np.asarray(tables.get(name, np.zeros(0, np.int32))) for name in _TABLES}
     layout = Layout({name: table.shape for name, table in made.items()})
     trees, leaves = made["value"].shape if made["value"].ndim == 2 else (0, 0)
@@ -123,7 +123,7 @@ class Static(NamedTuple):
 
     rows: int
     columns: int
-    own_words: int
+    own_words: int  # words of scratch memory per thread or team
 
     @classmethod
     def of(cls, tables: np.ndarray) -> "Static":
@@ -140,11 +140,11 @@ class Rows(NamedTuple):
     """Results of the steps, one row of words per frame, as NumPy or JAX arrays."""
 
     record: Any
-    """Results, in the order of :func:`record_layout`."""
+    """Results ``(B, words)``, in the order of :func:`record_layout`."""
     contour: Any
-    """Contours of the obstacles."""
+    """Contours of the obstacles, ``(B, M C 2)``."""
     work: Any
-    """Intermediate arrays; on the CPU empty unless they are requested."""
+    """Intermediate arrays ``(B, words)``, ``(1, 1)`` if they are not requested."""
 
 
 def detections(
@@ -197,11 +197,11 @@ def run(
         frames: Frames with their images on the host.
         prior: Prior of the floor in each frame.
         config: Configuration of the method.
-        steps: Number of steps.
+        steps: Number of steps to run, from the first.
         keep_work: Whether to return the intermediate arrays.
 
     Returns:
-        NumPy arrays, and the sizes of the program.
+        The results as NumPy arrays, and the sizes of the program.
     """
     tables = packed_tables(frames.calibration, config, str(device))
     given = frames.depth, floors(prior, config, frames.calibration.depth_unit), tables

@@ -1,6 +1,6 @@
-"""Tables for the kernels on depth images, from a camera and a configuration, made on the host.
+"""Tables that the kernels on depth images read, computed from a camera and a configuration.
 
-Tables and settings are int32, and lengths are clipped; ``program.h`` has the same names.
+Tables are int32 with clipped lengths (two are float32), and have the names of ``program.h``.
 """
 
 from typing import Any, NamedTuple
@@ -109,7 +109,7 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
     Args:
         cells: Number of cells of the grid, rows times columns.
         config: Limits of corrections and reasons of refusal.
-        unit: Metres in one depth unit.
+        unit: Metres per depth unit.
     """
     scale = Scale(unit, config.noise_per_m)
     rough, fine, sharp = scale.rough(units.ROUGH_DEG), scale.fine, scale.sharp
@@ -126,7 +126,7 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
         "lever_bits": scale.bits(units.LEVER_M),
         "bin_bits": bin_bits,
         "span": span,  # range of heights around a guess
-        # Bins at each end that only the search for steep planes uses.
+        # Number of height bins at each end that only the search for steep planes uses.
         "edge": (span - scale.length(units.NEAR_M)) >> bin_bits,
         "lowest": scale.length(units.HEIGHTS_M[0]),
         "highest": scale.length(units.HEIGHTS_M[1]),
@@ -144,7 +144,7 @@ def _floor_settings(cells: int, config: FloorConfig, unit: float) -> dict[str, A
         "run_bits": run_bits,
         "rise_bits": rise_bits,
         "runs": round(units.FARTHEST_M / unit) >> run_bits,
-        # Half the number of height bins of the profile: above the plane, and below.
+        # Number of height bins of the profile above the plane; there are as many below.
         "half": round(units.HIGHEST_M / unit) >> rise_bits,
         "profile_base": scale.length(units.PROFILE_M),
         "ramp_near": round(units.RAMP_NEAR_M / unit),
@@ -178,9 +178,9 @@ def obstacle_tables(farthest: int, unit: float, config: ObstacleConfig, table: A
     """Return the tables of the step that groups surfaces into obstacles.
 
     Args:
-        farthest: End of the range [depth units].
-        unit: Metres in one depth unit.
-        config: The gaps and sizes.
+        farthest: Maximum depth of obstacles [depth units].
+        unit: Metres per depth unit.
+        config: Limits of gaps, bends and sizes [m].
         table: Affinity table of the configuration, in the same depth units.
 
     Raises:

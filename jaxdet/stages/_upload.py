@@ -27,15 +27,15 @@ time, need the other cores."""
 
 
 class Uploader:
-    """Ring of device buffers, filled on one stream, with downloads on another.
+    """Ring of device buffers; uploads are on one CUDA stream, downloads on another.
 
-    A buffer is overwritten ``buffers`` uploads later; by then the results computed from it must be
-    ready, so wait for the batch before the previous one before uploading the next. One thread may
-    upload while another downloads.
+    A buffer is overwritten ``buffers`` uploads later, when the results computed from it must be
+    ready: before the upload of batch n, wait for the results of batch n - ``buffers``. One thread
+    may upload while another downloads.
 
     Args:
         arrays: Shape and NumPy type of each array of a batch, ``B`` first: depth images, and colour
-            images where the method reads them.
+            images if the method reads them.
         device: Target device of JAX.
         buffers: Number of buffers of the ring.
     """
@@ -60,8 +60,8 @@ class Uploader:
     def upload(self, pieces: Sequence[Sequence[np.ndarray]]) -> list[jax.Array]:
         """Copy pieces of a batch to the device, one after the other.
 
-        Waits for the copies, not for computations. The rest of the buffer keeps its previous
-        contents.
+        The call waits for the copies, not for computations. The rest of the buffer keeps its
+        previous contents.
 
         Args:
             pieces: Arrays of each piece, in the order of ``arrays``.

@@ -1,7 +1,7 @@
 """Options of modules whose kernels call the C++ in ``include/jaxdet``.
 
-A kernel is a Warp function that passes its arguments to a native function, whose body is a line or
-two of C++ that call the headers. In it, a 2D Warp array ``a`` is accessed as ``a.data`` and
+A kernel is a Warp function that passes its arguments to a native function, whose body is C++ that
+calls the headers. In this C++, a Warp array ``a`` has the pointer ``a.data`` and the lengths
 ``a.shape``.
 """
 
@@ -16,8 +16,8 @@ CPU_FLAGS = "-march=native"
 """Clang flags of all modules; equal flags let modules share a precompiled header of Warp.
 
 Warp's default flags also raise LLVM's inlining limits for everything that the process compiles
-afterwards. With them the floor takes four times as long to compile, and only the corners run
-faster."""
+afterwards. With these limits the floor takes four times as long to compile, and only the corners
+run faster."""
 
 WIDTH, BLOCKS = 256, 4
 """Threads per team on CUDA, and teams that are resident on a multiprocessor at once: a thread has
@@ -27,8 +27,8 @@ up to 64 registers."""
 def options(*headers: str) -> dict[str, Any]:
     """Return options for :func:`warp.set_module_options` that include headers before the kernels.
 
-    Every floating-point operation is rounded separately. ``block_dim`` is that of the CPU, where
-    Warp's ahead-of-time functions take it from here; launches on CUDA pass their own.
+    Every floating-point operation is rounded separately. ``block_dim`` is used by Warp's
+    ahead-of-time functions for the CPU; launches on CUDA pass their own block size.
     ``extra_build_options`` are experimental in Warp.
 
     Args:

@@ -1,4 +1,4 @@
-"""Kernels that decode depth images of logs: PNG, RVL, metres. For the CPU only.
+"""Kernels that decode depth images of logs (PNG, RVL, metres), for the CPU only.
 
 One thread decodes a complete image, because the threads of a CPU kernel run one after the other;
 images are decoded in parallel because launches release the GIL. Arrays are contiguous.
@@ -38,9 +38,9 @@ def _rvl(
 
 @wp.kernel
 def rvl(
-    stream: wp.array[wp.uint8],  # (N,) bytes after the last pixel are not read
-    pixels_out: wp.array2d[wp.uint16],  # (H, W) partly written if the status is not 0
-    status_out: wp.array[wp.int32],  # (1,) 0 on success, otherwise see RvlDecoder
+    stream: wp.array[wp.uint8],  # (N,) bytes; those after the last pixel are ignored
+    pixels_out: wp.array2d[wp.uint16],  # (H, W) depth, incomplete if the status is not 0
+    status_out: wp.array[wp.int32],  # (1,) 0 on success, otherwise an error of RvlDecoder
 ):
     """Decode an RVL stream."""
     _rvl(stream, pixels_out, status_out)
@@ -64,5 +64,5 @@ def depth_units(
     unit_m: wp.float64,  # metres per depth unit
     units_out: wp.array2d[wp.uint16],  # (H, W)
 ):
-    """Convert metres to the nearest depth unit, halves to even; 0 if that is not in 1 to 65535."""
+    """Round metres to depth units, halves to even; results outside 1 to 65535 become 0."""
     _depth_units(metres, unit_m, units_out)

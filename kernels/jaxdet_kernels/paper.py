@@ -11,7 +11,7 @@ from jaxdet_kernels.build import BLOCKS, WIDTH, options
 
 wp.set_module_options(options("corners.h", "alignment.h"))
 
-MAX_SIZE = 4096  # a row and a column fit in 32 bits
+MAX_SIZE = 4096  # a row and a column are packed into 32 bits
 """Maximum number of columns and rows of a colour image: pixel indices have 24 bits."""
 
 TILE = 8
@@ -50,7 +50,7 @@ def corners(
     settings: Words,  # CornerSettings of corners.h
     u: Rows,  # (B, N) result: columns, strongest corner first; 0 in empty slots
     v: Rows,  # (B, N) result: rows
-    number: Words,  # (B,) result: number of corners, at most N + 1
+    number: Words,  # (B,) result: number of corners, N + 1 if there are more than N
     scratch: Words,
     next: Words,
 ):

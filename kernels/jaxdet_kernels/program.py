@@ -29,7 +29,7 @@ class Batch:
     contour: Rows  # (B, M C 2) contours from left to right, right and forward
     work: Rows  # (B, work_words) intermediate arrays, or (1, 1) if they are not kept
     rows: int  # rows of the grid of cells
-    columns: int
+    columns: int  # columns of the grid
 
 
 _BATCH = """
@@ -54,11 +54,11 @@ def _frames(batch: Batch, first: int, last: int, scratch: Words, next: Words): .
 def frames(
     batch: Batch,
     first: int,  # index of the first step, see STEPS
-    last: int,
+    last: int,  # index of the last step
     scratch: Words,  # intermediate arrays, then scratch memory
-    next: Words,
+    next: Words,  # (1,) index of the first frame that no thread has taken
 ):
-    """Process frames until none is left, on the CPU."""
+    """Run steps on frames until no frame is left, on the CPU."""
     _frames(batch, first, last, scratch, next)
 
 
@@ -111,5 +111,5 @@ STEPS = {
         "find_outlines",
     )
 }
-"""Kernels of the steps, in the order in which they run, for CUDA; on the CPU :func:`frames`
-runs."""
+"""CUDA kernels of the steps, in the order in which they run; on the CPU :func:`frames` runs all
+steps."""

@@ -50,8 +50,8 @@ def align_arrays(
 ) -> tuple[jax.Array, jax.Array]:
     """Return depth and z at pixels.
 
-    Args as for :func:`align`, with the result of :func:`tables`, and height and width of the colour
-    image.
+    The arguments are those of :func:`align`, but the calibration is replaced by the result of
+    :func:`tables`, and height and width of the colour image.
     """
     if not tables:
         found = depth[jnp.arange(len(depth))[:, None], v, u]
@@ -66,7 +66,7 @@ def align_arrays(
 
 @lru_cache(maxsize=8)
 def tables(calibration: Calibration) -> Tables:
-    """Return the tables on the device."""
+    """Return the tables for a calibration, on the device."""
     if calibration.is_aligned:
         return ()
     rays, image = np.stack(corner_rays(calibration.depth)), calibration.image

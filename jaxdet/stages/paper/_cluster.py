@@ -18,7 +18,7 @@ PLACE_BITS, VALUE_BITS = 13, 19  # a frame has at most 2^13 points, runs and obs
 LAST = (1 << VALUE_BITS) - 1  # larger than all values
 NONE = np.uint32(0xFFFFFFFF)  # larger than all keys, since x + MAX_LATERAL is below LAST
 DEPTHS = 1 << 16  # z is less than this
-BLOCK = 32  # number of entries that are summed together, see _running_sum
+BLOCK = 32  # number of entries per block of prefix sums, see _running_sum
 MOST_BLOCKS = 512  # with more blocks, the matrix that sums them exceeds a megabyte
 
 
@@ -34,10 +34,10 @@ class Sizes(NamedTuple):
 def cluster(features: Features, depth_unit: float, config: Config) -> Labels:
     """Cluster points by gaps; twin of :func:`jaxdet.reference.paper.cluster`.
 
-    Each step is a scan over all frames. First, points that are neighbours in depth form sets, which
-    are numbered by their bins, and whose points are counted. Then the points are sorted by set and
-    x, the runs between gaps are numbered by prefix sums, and their points are counted. Finally, the
-    runs with enough points are numbered. z is below 65536, x at most MAX_LATERAL.
+    Each step is a scan over all frames. First, points that are neighbours in depth form sets; the
+    sets are numbered through bins of depth, and their points are counted. Then points are sorted by
+    set and x, runs between gaps are numbered by prefix sums, and their points are counted. Finally,
+    runs with enough points are numbered. z must be below 65536, and abs(x) at most MAX_LATERAL.
 
     Raises:
         ConfigError: There are more than 8192 points per frame.
@@ -95,12 +95,12 @@ def _sets(z: jax.Array, kept: jax.Array, gap: jax.Array, bins: int) -> jax.Array
 
     Args:
         z: Depth of the points, ``(B, N)`` int32.
-        kept: Mask of the points that count, ``(B, N)`` bool.
+        kept: Mask of the points to cluster, ``(B, N)`` bool.
         gap: Largest difference in depth of neighbours.
         bins: Number of bins.
 
     Returns:
-        Set of each point, ``(B, N)`` int32, below ``N``; any number if the point does not count.
+        Set of each point, ``(B, N)`` int32, below ``N``; arbitrary for all other points.
     """
     place = jnp.where(kept, z // jnp.maximum(gap, 1), bins)
     shape, row = (len(z), bins), _rows(z)
@@ -117,7 +117,7 @@ def _runs(values: jax.Array, group: jax.Array, gap: jax.Array) -> jax.Array:
 
     Args:
         values: Values ``(B, N)`` int32, ascending within each group.
-        group: Groups ``(B, N)``; entries of one are adjacent, and a new group starts a new run.
+        group: Group of each entry, ``(B, N)``; a group's entries are adjacent and start a new run.
         gap: Largest difference between adjacent entries of a run.
 
     Returns:
@@ -135,9 +135,9 @@ def _sizes(run: jax.Array, valid: jax.Array) -> jax.Array:
 def _running_sum(flags: jax.Array) -> jax.Array:
     """Return the number of flags up to and including each entry of its row, ``(B, N)`` int32.
 
-    Prefix sums within blocks, then over the sums of blocks, each as a product with a triangular
-    matrix of ones, which takes a third of the time of ``jnp.cumsum`` on the CPU. Exact in float32
-    and in TF32, as the factors are 0 to ``BLOCK`` and the sums below 2^24.
+    Prefix sums are computed within blocks, then over the sums of blocks, as products with a
+    triangular matrix of ones, in a third of the time of ``jnp.cumsum`` on the CPU. They are exact
+    in float32 and in TF32, because factors are 0 to ``BLOCK`` and sums are below 2^24.
     """
     count = flags.shape[1]
     if count > MOST_BLOCKS * BLOCK:
@@ -154,8 +154,8 @@ def _running_sum(flags: jax.Array) -> jax.Array:
 def _first_place(keys: jax.Array, key: jax.Array) -> jax.Array:
     """Return the first position of ``key`` in each row's ascending ``keys``, ``(B, N)``.
 
-    A binary search like ``jnp.searchsorted``, in steps of powers of two and without carried bounds,
-    which takes half the time on the CPU.
+    The binary search has steps of powers of two and carries no bounds from step to step, so it
+    takes half the time of ``jnp.searchsorted`` on the CPU.
     """
     count = keys.shape[1]
     bits = count.bit_length()
@@ -171,11 +171,11 @@ def _first_place(keys: jax.Array, key: jax.Array) -> jax.Array:
 def _numbered(obstacle: jax.Array, z: jax.Array, most: int) -> Labels:
     """Number the obstacles by nearest z, then smallest x.
 
-    Obstacles at equal distance belong to one set of neighbours in depth, so they are already sorted
-    by x.
+    Obstacles with equal nearest z belong to one set of neighbours in depth, so they are already
+    sorted by x.
 
     Args:
-        obstacle: Obstacle of each point, ``(B, N)`` int32, ``most`` for none.
+        obstacle: Obstacle of each point, ``(B, N)`` int32, ``most`` if the point has none.
         z: Depth of the points, ``(B, N)`` int32.
         most: Maximum number of obstacles.
     """

@@ -27,7 +27,7 @@ class _Tables(NamedTuple):
 
 
 def detect(frames: Frames, plane: GroundPlane, config: Config) -> Detections:
-    """Detect corners, drop those on the floor, cluster the others by gaps and measure the clusters.
+    """Detect corners, cluster those above the floor by gaps, and measure the clusters.
 
     Args:
         frames: ``B`` frames with colour; images on the host or already on a device.

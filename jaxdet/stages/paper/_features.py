@@ -44,7 +44,7 @@ class Tables(NamedTuple):
     rays: tuple[jax.Array, jax.Array]
     """Rays of the pixels, ``(H, W)`` int32 each, from :func:`jaxdet.camera.fixed_rays`."""
     corners: jax.Array
-    """From :func:`corner_settings`."""
+    """Settings of the corners, from :func:`corner_settings`."""
 
 
 def tables(calibration: Calibration, config: FeaturesConfig) -> Tables:
@@ -62,8 +62,8 @@ def _rays(camera: Intrinsics) -> tuple[jax.Array, jax.Array]:
 def corner_settings(config: FeaturesConfig) -> np.ndarray:
     """Return the words of ``CornerSettings`` in ``corners.h``, int32.
 
-    The minimum distance is squared and rounded up: squared distances are integers, so the same ones
-    are smaller.
+    The minimum distance is squared and rounded up, which does not change any comparison, because
+    squared distances between pixels are integers.
     """
     distance = config.min_distance
     limit = math.ceil(distance * distance) if distance >= 1 else 0
@@ -80,15 +80,15 @@ def check_kernels_size(camera: Intrinsics) -> None:
     least, most = sorted((camera.width, camera.height))
     if least < 3 or most > kernels.MAX_SIZE:
         raise ConfigError(
-            f"colour images of {camera.width}x{camera.height} pixels, but the kernels take from "
-            f"3 to {kernels.MAX_SIZE} a side",
+            f"colour images have {camera.width}x{camera.height} pixels, but the kernels take from "
+            f"3 to {kernels.MAX_SIZE} pixels per side",
             remedy="use --backend reference",
         )
 
 
 @partial(jax.jit, static_argnames="slots")
 def on_device(color: jax.Array, depth: jax.Array, shared: Tables, slots: int) -> Features:
-    """Return the features, at most ``slots`` per frame, from :func:`tables`."""
+    """Return the features, at most ``slots`` per frame; ``shared`` is from :func:`tables`."""
     with jax.named_scope("features"):
         batch, *size, _ = color.shape
         dims = {"u": (batch, slots), "v": (batch, slots), "number": (batch,)}

@@ -53,7 +53,7 @@ def tables(config: FootprintConfig, depth_unit: float) -> Tables:
 def obstacles(
     features: Features, labels: Labels, axes: jax.Array, shared: Tables, most: int
 ) -> Obstacles:
-    """Return ``most`` obstacles.
+    """Measure the obstacles; the result has ``most`` slots per frame.
 
     Args:
         features: Points ``(B, N)``.
@@ -165,10 +165,10 @@ def _squared_length(floor: jax.Array) -> tuple[jax.Array, jax.Array]:
 def _outermost(
     own: jax.Array, values: jax.Array, points: jax.Array, passed: jax.Array, band: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the medians of the bands at the smallest and largest values of each obstacle.
+    """Return the medians of each obstacle's values in the bands at both ends of their range.
 
     Args:
-        own: Obstacle of each point, ``(N,)`` int32; M for none.
+        own: Obstacle of each point, ``(N,)`` int32; M if the point has none.
         values: Coordinates ``(N,)`` int32, at most MAX_LATERAL.
         points: Number of points of each obstacle, ``(M,)`` int32.
         passed: Number of outermost values that are trimmed, ``(M,)`` int32.

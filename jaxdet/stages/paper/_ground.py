@@ -1,4 +1,4 @@
-"""Stage 3, ground: comparisons of each feature's depth."""
+"""Stage 3, ground: comparison of each feature's depth with the limit of its pixel."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -17,8 +17,8 @@ def ground(
 ) -> Features:
     """Mark features above the floor; twin of :func:`jaxdet.reference.paper.ground`.
 
-    The host tabulates a limit of depth per plane and pixel once
-    (:func:`jaxdet.floor.plane.floor_limits`); here each feature is compared with it.
+    The host tabulates a maximum depth per plane and pixel once
+    (:func:`jaxdet.floor.plane.floor_limits`); here each feature's z is compared with it.
     """
     return keep(features, tables(plane, calibration, config))
 
@@ -53,7 +53,7 @@ def tables(plane: GroundPlane, calibration: Calibration, config: Config) -> Tabl
 def _limits(
     camera: Intrinsics, planes: tuple[tuple[float, ...], ...], settings: GroundConfig, unit: float
 ) -> jax.Array:
-    """Return the limits of planes, in order, on the device."""
+    """Return the depth limits of each plane's pixels, padded as in :func:`tables`."""
     limits, _ = floor_limits(camera, GroundPlane(*np.array(planes).T), settings, unit)
     spare = (1 << (len(limits) - 1).bit_length()) - len(limits)
     if spare:

@@ -1,4 +1,4 @@
-// Depth at given pixels of the colour image: depth pixels are projected there, and the nearest wins.
+// Depth at `wanted` pixels of the colour image: that of the nearest depth pixel that is projected there.
 // Twin of jaxdet/reference/paper/_align.py.
 //
 // A key is `depth << 16 | z` with the depth in the depth camera and z in the colour camera. So a single
@@ -97,7 +97,7 @@ struct Alignment {
     // Smallest and largest measured depth of a tile; the largest is 0 if nothing is measured.
     Interval depths(int tile) const {
         const unsigned short* line = depth + (size_t)tile_row(tile) * columns + tile_column(tile);
-        // Per column of the tile; the smallest depth minus one, so that 0 counts as the largest.
+        // Per column of the tile: smallest depth minus one, so that 0 becomes the largest; largest depth.
         unsigned short less[TILE], most[TILE];
         for (int c = 0; c < TILE; ++c) {
             less[c] = 0xffff;
@@ -189,7 +189,7 @@ struct Alignment {
     }
 
     // Sets box `k` from a depth pixel and the rays of its first and last corner; the box is empty if no
-    // colour pixel is covered. `bends` is true for a lens with distortion. There is no other branch.
+    // colour pixel is covered. The only branch is on `bends`, which is true for a lens with distortion.
     __attribute__((always_inline)) void cover(
         Boxes& boxes, int k, int units, float x0, float y0, float x1, float y1, bool bends) const {
         Projection::Point first, last;

@@ -24,8 +24,8 @@ struct BitRows {
     int row(int i) const { return i >> shift; }
     int column(int i) const { return (i & ((1 << shift) - 1)) * WIDTH; }
 
-    // The bits of the neighbours of the cells of word i, one neighbour per cell: the previous or the
-    // next cell in the row, or the cell above or below. Cells outside the grid have bit 0.
+    // Words whose bit k is the bit of one neighbour of cell k of word i: of the previous or the next cell
+    // in the row, or of the cell above or below. Cells outside the grid have bit 0.
     unsigned before(int i) const {
         return bits[i] << 1 | (column(i) ? bits[i - 1] >> (WIDTH - 1) : 0);
     }

@@ -1,6 +1,6 @@
 // Grey conversion, gradients and non-maximum suppression of Canny, all in integers. Twin of
 // jaxdet/reference/paper/_canny.py. The outputs are two bitmaps (pixel_bits.h): weak edges, above the lower
-// threshold, and strong edges, above the higher one. `Hysteresis` connects them.
+// threshold, and strong edges, above the higher one. `Hysteresis` adds connected weak edges to strong ones.
 #pragma once
 #include "pixel_bits.h"
 #include "warp.h"
@@ -147,8 +147,8 @@ struct Canny {
         for (int r = warp.index; r < rows; r += warp.count) {
             const short *a = tile.size[r], *o = tile.size[r + 1], *b = tile.size[r + 2];
             for (int c = warp.lane; c < columns; c += warp.size) {
-                // Without branches, so that the loop can be vectorized. Of equal neighbours in a row or
-                // a column the first is kept, on a diagonal neither.
+                // There are no branches, so that the loop can be vectorized. Of two equal neighbours in
+                // a row or a column the first is kept, on a diagonal neither.
                 const int direction = tile.direction[r + 1][c + 1], m = o[c + 1];
                 const int flat = (direction == FLAT) & (m > o[c]) & (m >= o[c + 2]);
                 const int steep = (direction == STEEP) & (m > a[c + 1]) & (m >= b[c + 1]);
@@ -160,7 +160,7 @@ struct Canny {
         }
     }
 
-    // Packs eight pixels per byte and writes them.
+    // Packs the edges into bits, eight pixels per byte, and writes these to the bitmaps.
     void write(const Team& team, const Tile& tile, int top, int left, int rows, int columns) const {
         const Warp warp(team);
         const size_t bytes = 4 * (size_t)PixelBits::words(width);

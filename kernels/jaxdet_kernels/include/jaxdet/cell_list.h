@@ -6,15 +6,15 @@
 namespace jaxdet { namespace {
 
 struct CellList {
-    enum { AHEAD = 4 };
+    enum { AHEAD = 4 };  // number of words whose cells a warp on CUDA loads at a time
     int* count;
-    // Index, label and position on the floor of each listed cell. The cells of a row are listed in order;
+    // Index, label and position on the floor of each listed cell. On the CPU cells are in raster order;
     // on CUDA, cells are listed in groups of AHEAD words, and the groups are in any order.
     int *cell, *label, *right, *forward;
 
     // Lists all cells with a label. Also writes the bitmaps of labelled cells to `has` and of free
     // cells to `open`, copies the labels to `out`, and raises `most` to at least the largest label plus
-    // one. `count` and `most` must be 0 before. Ends in a sync.
+    // one. `count` and `most` must be 0 before the call. Ends in a sync.
     void take(
         const Team& team, const int* labels, const unsigned char* free, const int* at_right,
         const int* at_forward, int columns, const BitRows& has, const BitRows& open, int* out,
@@ -67,8 +67,8 @@ struct CellList {
         team.sync();
     }
 
-    // Lists only the cells with labels 0 .. limit - 1, of `cells` cells, and writes nothing else. Ends
-    // in a sync.
+    // Lists those of the first `cells` cells that have labels 0 .. limit - 1, and writes nothing else.
+    // `count` must be 0 before the call. Ends in a sync.
     void take(
         const Team& team, int cells, const int* labels, int limit, const int* at_right,
         const int* at_forward

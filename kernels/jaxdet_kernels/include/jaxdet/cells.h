@@ -14,23 +14,23 @@ struct CellRow {
     enum { LANES = Vectors::SHORTS, MOST_SIDE = LANES > 1 ? 8 : 4 };
     static constexpr Vectors::Word NONE = 65535;
     const int* near;  // tolerance around the median, as in CellGrid
-    // Depth minus one of each pixel, in 16 bits, indexed by its position in the cell. So a missing
-    // measurement is larger than any depth.
+    // Depth minus one of each pixel, by its position in the cell. In 16 bits a missing measurement, 0,
+    // becomes 65535, which is larger than any depth.
     Vectors::Word pixel[MOST_SIDE * MOST_SIDE][LANES];
 
     explicit __attribute__((always_inline)) CellRow(const int* near) : near(near) {}
 
     __attribute__((always_inline)) Words& at(int p) { return *(Words*)pixel[p]; }
 
-    // Tolerance at a depth; `one` is the depth minus one.
+    // Tolerance around a depth; `one` is this depth minus one.
     int reach(unsigned one) const {
         const int reach = near[(one + 1) & 65535];
         return reach < (int)NONE ? reach : (int)NONE;
     }
 
     // Computes the depths of adjacent cells, the first of which begins at pixel `first`; the side is at
-    // most MOST_SIDE. Callers pass a constant side, so that the pixels of a row are distributed by
-    // shuffles, or on CUDA that the loops are unrolled.
+    // most MOST_SIDE. Callers pass a constant side, so that the compiler distributes the pixels of a row
+    // by shuffles or, on CUDA, unrolls the loops.
     __attribute__((always_inline)) void run(const unsigned short* first, int stride, int side, int* out,
                                             int* nearest) {
         const int all = side * side;
@@ -121,8 +121,8 @@ struct CellRow {
 #endif
     }
 
-    // Sorts pixels k and k + apart. A step of the sort compares positions of every second group of
-    // `apart`, both in the same pair of parts.
+    // Sorts pixels k and k + apart if this step of the sort compares them: k is in an even group of
+    // `apart` positions, and both pixels are in the same two parts of `part` positions.
     __attribute__((always_inline)) void exchange(int k, int part, int apart, int all) {
         const int first = apart % part;
         if (k < first || k + apart >= all) return;
@@ -138,7 +138,7 @@ struct CellGrid {
     const unsigned short* depth;    // (height, width) depth image
     int width, rows, columns;
     int side;                       // side of a cell [pixel], at most 128, so that sums fit in 31 bits
-    const int* near;                // tolerance around each median [depth units]; it grows with it
+    const int* near;                // tolerance around a median, by median; it increases [depth units]
     const int* rays;                // (2, rows, columns) x / z and y / z of cells, RAY_BITS fraction bits
     int *x_out, *y_out, *z_out;
     int* nearest_out;               // smallest measured depth of a cell, 0 = none

@@ -34,7 +34,7 @@ struct Contours {
         return (Key)(r * r + f * f) << ROW_BITS | row;
     }
 
-    // Finds the keys from the listed cells. Ends in a sync.
+    // Computes `nearest` from the listed cells. Ends in a sync.
     void find(const Team& team, const CellList& listed) const {
         clear(team);
         const int all = *listed.count;
@@ -45,7 +45,7 @@ struct Contours {
         team.sync();
     }
 
-    // Merges the keys of parts: part `l` belongs to label `whole[l]`. Ends in a sync.
+    // Computes `nearest` from that of parts: part `l` belongs to label `whole[l]`. Ends in a sync.
     void join(const Team& team, const Contours& parts, const int* whole) const {
         clear(team);
         const Warp warp(team);
@@ -58,7 +58,7 @@ struct Contours {
         team.sync();
     }
 
-    // Lists the points from the keys. Ends in a sync.
+    // Lists the contour points of all labels, from `nearest`. Ends in a sync.
     void list(const Team& team) const {
         const Warp warp(team);
         for (int l = warp.index; l < count; l += warp.count) {

@@ -14,7 +14,7 @@ struct Contraction {
     Key* turns;      // scratch, (2 * TURNS): best keys, see `run`
     int* group;      // result, (count): the smallest node of each node's group
 
-    // Key by which edges are compared, smallest first: larger weights first, then by the pair of nodes.
+    // Key of an edge. The smallest key is best: the largest weight, then the first pair of nodes.
     Key key(int weight, int one, int other) const {
         if (weight <= 0) return ~0ull;
         return ((Key)(0x7fffffff - weight) << NODE_BITS | one) << NODE_BITS | other;
@@ -30,9 +30,9 @@ struct Contraction {
         return key(largest, one, with);
     }
 
-    // Runs the contraction. Each turn merges two nodes and computes the best key of the next turn. `turns` consists of
-    // two ring buffers of TURNS keys, indexed by turn: the best key of all nodes, and the best key
-    // of the node that grew in the turn before. Ends in a sync.
+    // Runs the contraction. Each turn merges two nodes and computes the best key of the next turn. `turns`
+    // has two ring buffers of TURNS keys, indexed by turn: the best key of all nodes, and the best key of
+    // the node that grew in the turn before. Ends in a sync.
     void run(const Team& team) const {
         if (team.rank == 0) {
             for (int k = 0; k < 2 * TURNS; ++k) turns[k] = ~0ull;

@@ -18,14 +18,14 @@ struct CornerSettings {
 typedef unsigned long long CornerKey;  // strength << 32 | place, see PixelBits::place
 
 // Sums of products of gradients [2^-31] over pixels of a column, and over windows. A pixel is 0 or 255,
-// so a gradient takes few values: dx = h k in float32, h = -4 .. 4, and dy = g k - g' k, g = 0 .. 4.
+// so with k = step(), dx = h k in float32, h = -4 .. 4, and dy = g k - g' k, where g and g' are 0 .. 4.
 // Their products are multiples of 2^-31, so integer sums are exact and independent of the order.
 struct GradientSums {
     unsigned xx = 0, yy = 0;
     int xy = 0;
 
-    // Adds the products at the middle pixel of three rows, each given as three bits. Inlined, so that
-    // loops over columns can be vectorized.
+    // Adds the products at the middle of 3 x 3 pixels, passed as three bits per row; dx dy is multiplied
+    // by `sign`. The function is inlined, so that loops over columns can be vectorized.
     __attribute__((always_inline)) void add(int above, int own, int below, int sign) {
         const int across = right(above) - left(above) + 2 * (right(own) - left(own)) + right(below)
             - left(below);
@@ -139,7 +139,7 @@ struct CornerMaxima {
             }
         }
 
-        // Bitmap of pixels that may be corners: edges nearby differ in both directions.
+        // Bitmap of the pixels that may be corners: nearby edge bits differ along rows and along columns.
         unsigned corners() const {
             Word across = 0, along = 0;
             for (int i = 0; i < 5; ++i) across |= rows[i] ^ rows[i] >> 2;
@@ -265,7 +265,7 @@ struct CornerSelection {
     unsigned* blocked;    // (height, PixelBits::words(width)) pixels close to an accepted corner
     // (height) half-width of the disk by vertical distance from its centre; -1: outside
     int* halves;
-    CornerKey* other;           // (count) memory for sorting keys
+    CornerKey* other;           // (count) memory that `KeySort` needs
 
     // Selects corners; returns their number, at most slots + 1. One warp selects.
     int run(const Team& team, CornerKey* keys, int count) const {
@@ -291,8 +291,8 @@ struct CornerSelection {
         return side;
     }
 
-    // A warp tests one corner per lane, accepts the first that is not blocked, and tests the others
-    // again.
+    // A warp tests one corner per lane, accepts the first that is not blocked, and tests the corners
+    // after it again. Returns the number of accepted corners.
     int take(const Warp& warp, const CornerKey* keys, int count) const {
         int taken = 0;
         for (int start = 0; start < count && taken <= slots; start += warp.size) {
@@ -342,7 +342,7 @@ struct Corners {
 
     enum { BLOCKED = 480 * 640 / 32 };  // words of a bitmap that fits in `Shared`
 
-    // Memory shared by a team, used by one stage after the other.
+    // Fast memory of a team: shared memory on CUDA. Each stage reuses it.
     union Shared {
         Canny::Tile tile;
         CornerMaxima::Shared maxima;

@@ -37,9 +37,9 @@ struct Creases {
 
     static int apart(int a, int b) { return a < b ? b - a : a - b; }
 
-    // Rounded mean of those of the 3 x 3 neighbours that differ by at most two steps. The sum of at most
-    // nine depths below 2^20 is exact as a float. The quotient is below 2^20 and, unless it is an
-    // integer, at least a ninth away from any integer, which is more than its rounding error.
+    // Rounded mean of a cell and those of its eight neighbours that differ from it by at most two steps.
+    // The sum of at most nine depths below 2^20 is exact as a float. The quotient is below 2^20 and, unless
+    // it is an integer, at least a ninth away from any integer, which is more than its rounding error.
     static int mean(int own, int step, int a, int b, int c, int d, int e, int f, int g, int h) {
         const int near = step << (BITS + 1), shift = near - own;
         int total = own, count = 1;
@@ -164,8 +164,8 @@ struct Creases {
     }
 #endif
 
-    // Finds the cells where depth bends more than the limit. Vertical bends are measured only if there
-    // are rows at that distance above and below.
+    // Finds the cells where depth bends more than the limit. Vertical bends are measured only in rows
+    // that have rows at the distance `reach` above and below.
     void find(const Team& team) const {
         const Warp warp(team);
         for (int i = warp.index; i < found.count(); i += warp.count) {

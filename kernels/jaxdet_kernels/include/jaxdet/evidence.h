@@ -37,8 +37,8 @@ struct Evidence {
     // Number of threads that share the search for the smallest distance between two contours.
     enum { PARTS = Warp::size > 1 ? 8 : 1 };
     enum { CONTACT = 2, PERCENT = 100, FEATURES = 26 };
-    // Number of pairs whose evidence a team computes together; on CUDA the number of its threads is a
-    // multiple.
+    // Number of pairs whose evidence a team computes together; on CUDA the number of threads of a team
+    // is a multiple of it.
     enum { ABREAST = Trees::ABREAST, BATCH = Warp::size > 1 ? 64 : (int)ABREAST };
     enum { FAST = FEATURES * BATCH };
     int count, lateral_gap, forward_gap, gap, no_step;
@@ -48,7 +48,7 @@ struct Evidence {
     unsigned char* near;  // scratch, (pairs): whether a pair is near enough to be evaluated
     Sum* sums;            // scratch, (pairs, Facing::SUMS): statistics of facing cells
     int *list, *listed;   // scratch: nearby pairs, and their number
-    int *close, *num_close;  // scratch: those that face each other or are close, and their number
+    int *close, *num_close;  // scratch: nearby pairs that face each other or are close, and their number
     int* between;         // result, (count, count): evidence between surfaces
     int* fast;            // FAST words of fast memory: the features of a batch
 
@@ -91,8 +91,8 @@ struct Evidence {
         for (int item = team.rank; item < *listed; item += team.size)
             if (is_close(list[item])) close[team.atomic_add(num_close, 1)] = list[item];
         team.sync();
-        // Features of BATCH pairs are computed at a time; then a thread adds a share of the trees of
-        // ABREAST pairs, from `own` on.
+        // The features of BATCH pairs are computed at a time. Then each thread adds the values of its
+        // share of the trees for ABREAST pairs of the batch, from pair `own` on.
         const int own = team.rank * ABREAST % BATCH, share = team.rank * ABREAST / BATCH;
         const int shares = team.size * ABREAST / BATCH, all = *num_close;
         for (int first = 0; first < all; first += BATCH) {
@@ -116,7 +116,7 @@ struct Evidence {
     bool facing(const Sum* own) const { return own[Facing::ROWS] || own[Facing::COLUMNS]; }
 
     // Finds the smallest distance between the contours of two surfaces that face each other or are
-    // close.
+    // close, from every PARTS-th point of the shorter contour, beginning with point `part`.
     void measure(const Team& team, int pair, int part) const {
         int a = pair >> 16, b = pair & 0xffff;
         Sum* own = sums + (size_t)Pair(a, b).place * Facing::SUMS;
@@ -149,7 +149,7 @@ struct Evidence {
         return (int)(sum >> k * Facing::COUNT_BITS & ((1 << Facing::COUNT_BITS) - 1));
     }
 
-    // Whether surface a counts as the smaller one of the two.
+    // Whether surface a counts as smaller than b: it has fewer cells or, if as many, a smaller extent.
     bool fewer(int a, int b) const {
         const int one[] = {extents.cells[a], extents.width(a), extents.depth(a), extents.bottom[a]};
         const int other[] = {extents.cells[b], extents.width(b), extents.depth(b), extents.bottom[b]};

@@ -57,7 +57,7 @@ struct Extents {
             const int label = listed.label[i], k = listed.cell[i], r = listed.right[i];
             const int f = listed.forward[i], h = height[k], x_here = x[k], z_here = z[k];
             const int row = k / wide, column = k % wide;
-            // One label after the other; lane n updates field n.
+            // Labels are processed one after the other; lane n updates field n.
             for (unsigned rest = warp.ballot(first + warp.lane < all); rest;) {
                 const int l = warp.broadcast(label, BitRows::lowest(rest));
                 const bool own = label == l && first + warp.lane < all;
@@ -98,7 +98,7 @@ struct Extents {
         team.sync();
     }
 
-    // Updates field k of a label from some of its cells.
+    // Updates field k of a label by the value of this field for some of the label's cells.
     void add(const Team& team, int l, int k, int value) const {
         int* place = words + k * slots + l;
         if (k < SUMS) team.atomic_add(place, value);

@@ -38,7 +38,7 @@ struct Facing {
     enum { ROWS, STEPS, COLUMNS, DISTANCE, SUMS, COUNT_BITS = 21, STEP_SHIFT = 20 };
     enum { MOST_BETWEEN = 11, RING = 16, SLOPE = 10, FAR = 1 << 30 };
     // Run of cells with the same label in a line, i.e. a row or a column. `before` is the number of free
-    // cells of the line before the first cell of the run; `after` is their number up to its last cell.
+    // cells of the line before the first cell of the run; `after` includes those up to its last cell.
     struct Run {
         int label, first, last, before, after, z_first, z_last, nearest, farthest;
     };
@@ -57,7 +57,7 @@ struct Facing {
     const unsigned char* near;  // whether each pair is evaluated
     Sum* sums;                  // (pairs, SUMS) statistics, initialised with 0
 
-    // Processes all lines of both directions.
+    // Processes the lines of both directions: `one` and `other` are those of rows and of columns.
     static void run(const Team& team, const Facing& one, const Facing& other) {
         const int all = one.has.rows + other.has.rows;
         for (int i = team.rank; i < all; i += team.size) {
@@ -97,8 +97,8 @@ struct Facing {
         if (run.label >= 0) meet(team, ring, runs, run, place);
     }
 
-    // Counts the pairs of a new run and earlier ones, if neither label occurs between the two; then
-    // adds the run to the ring.
+    // Updates the sums of the pairs of a new run and earlier runs, if neither label occurs between the
+    // two runs; then adds the new run to the ring.
     void meet(const Team& team, Past* ring, int index, const Run& right, const int* place) const {
         int nearest = FAR, farthest = -1;
         for (int away = 1; away <= MOST_BETWEEN + 1 && away <= index; ++away) {

@@ -10,7 +10,7 @@
 
 namespace jaxdet { namespace {
 
-// Floor frame of the detected floor, or the fallback if the floor was refused. Twin of `axes` in
+// Frame of the detected floor, or the fallback frame if that floor was refused. Twin of `axes` in
 // jaxdet/floor/frame.py and of `slopes` in jaxdet/floor/units.py.
 struct FoundFrame {
     // Indices of the results of `Floor`.
@@ -42,9 +42,9 @@ struct Floor {
     enum { UNDER = 10, UNDER_PART = 2, UNDER_ALONE = 3, UNDER_PART_ALONE = 8 };
     // Reasons of a refusal.
     enum { NONE, TOO_LITTLE, MOSTLY_OBSTACLE, FAR, TABLE };
-    // Indices of `counts`. ALL, INNER, BEFORE and BEYOND are numbers of cells; ENDS begins the indices in
-    // `few` after the last cell of each ring; NEXT begins the indices in `few` at which `take` writes the
-    // next cell of each ring.
+    // Indices of `counts`. ALL, INNER, BEFORE and BEYOND: numbers of cells. From ENDS on, one per ring: the
+    // index in `few` after the last cell of the ring. From NEXT on, one per ring: the index in `few` at
+    // which `take` writes the next cell of the ring.
     enum { ALL, INNER, BEFORE, BEYOND, ENDS, NEXT = ENDS + FloorSearch::RINGS };
     enum {
         COUNTS = NEXT + FloorSearch::RINGS,
@@ -54,8 +54,8 @@ struct Floor {
         // Maximum number of planes that are scored together; a search near a guess has fewer.
         PLANES = FloorSearch::ANY_PLANES,
         MOST_THREADS = 256,
-        // Number of words of shared memory on CUDA; five blocks fit on a multiprocessor with 228 KB. The
-        // CPU has none.
+        // Number of words of shared memory on CUDA; five blocks fit on a multiprocessor with 228 KB. On the
+        // CPU no such memory is used.
         SHARED = Warp::size > 1 ? 11264 : 1
     };
     const Team& team;
@@ -66,8 +66,8 @@ struct Floor {
     // Scratch.
     unsigned long long *sums, *keys;
     int *counts, *planes, *votes, *most_ramp, *slack, *weights, *rows, *places, *lattice, *ends;
-    // With room for all cells: all cells; the cells before and, from the end, beyond the start of a ramp
-    // or a step. With room for a quarter of them: the samples that `take` describes.
+    // `cells`, `few` and `inner` are samples that `take` describes. `parts` has the cells before and, from
+    // its end backwards, the cells beyond the start of a ramp or a step.
     FloorCells cells, parts, few, inner;
     int room;
 
@@ -107,7 +107,7 @@ struct Floor {
         inner = positions(most_few);
         slack = arena.words(most_few);
         places = now(4 * most_few);
-        const int groups = MOST_THREADS / 32 * most_few;  // warps on CUDA
+        const int groups = MOST_THREADS / 32 * most_few;  // a word per cell and warp
         weights = now(groups > most ? groups : most);
         const int bins = FloorSearch::most_bins(settings);
         ends = room ? quick : arena.words(FloorVotes::LANES * bins);
@@ -304,7 +304,7 @@ struct Floor {
         if (is_ahead(between)) ahead = between;
     }
 
-    // Judges a floor.
+    // Counts the inliers of a floor, and decides whether it is refused.
     Verdict judge(ThreadGroup& group, FloorPlane plane, FloorAhead ahead) const {
         const FloorCells all = cells.part(0, counts[ALL]);
         const FloorDirection down = angles.down(plane), forward = angles.forward(plane);
@@ -333,7 +333,7 @@ struct Floor {
         group.sum(sums, 4);
         const long long total = all.count;
         // Without a prior, each cell in a dent (more than 1.5 tolerances below the plane) costs
-        // BELOW_COST inliers, because below a plane through a table there are many.
+        // BELOW_COST inliers, because a plane through a table has many such cells below it.
         const long long enough = sums[0] - (has_prior ? 0 : FloorScore::BELOW_COST * sums[3]);
         const int least = has_prior
             ? settings->min_share

@@ -10,8 +10,8 @@ struct FloorOutlook : FloorRamps {
     enum { DROPS = 28, RISES = 10, STEPS = DROPS + RISES, OWN = 4 };
     // Number of candidate steps that are tried together: all of them on the CPU.
     enum { TOGETHER = Warp::size > 1 ? 1 : STEPS };
-    // Whether there is a prior; if there is one, the largest height above the floor that the camera may
-    // have [depth units].
+    // `has_prior` is whether there is a prior; if so, `farthest` is the maximum height of the camera above
+    // the floor [depth units].
     bool has_prior;
     int farthest;
     // Scratch, one word per plane: upper bound of the votes of a ramp ahead of the plane.
@@ -150,8 +150,8 @@ struct FloorOutlook : FloorRamps {
         return is_seen_beyond(team, m % n, found.drop);
     }
 
-    // Whether the floor beyond the step is visible over some distance, which a wall is not. It begins
-    // at distance bin `from`, `deep` depth units below the plane.
+    // Whether the floor beyond the step extends over some distance, see `extend`; a wall does not. This
+    // floor begins at distance bin `from`, `deep` depth units below the plane.
     bool is_seen_beyond(const Team& team, int from, int deep) const {
         const int n = runs();
         for (int k = team.rank; k < n; k += team.size) {

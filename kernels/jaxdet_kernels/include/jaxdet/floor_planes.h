@@ -50,8 +50,8 @@ struct FloorDirection {
     }
 };
 
-// Tolerance of the inliers of a plane at a given height [depth units]. It is below 1.4 million, its
-// value at depth 65535, 20 m and a noise of 1 per metre, so nine times its square is below 2^44.
+// Tolerance of the inliers of a plane, for a height of the camera [depth units]. It is below 1.4 million,
+// its value at depth 65535, height 20 m and noise 1 per metre, so nine times its square is below 2^44.
 struct FloorSlack {
     enum { BITS = 26 };
     int base;
@@ -144,10 +144,10 @@ struct ThreadGroup {
     unsigned long long* rows;
     int turn;
 
-    // Groups of one warp each.
+    // Makes the group of this thread's warp.
     explicit ThreadGroup(const Team& all) : team(&all), rows(nullptr), turn(0) {}
 
-    // A group of the complete team; `scratch` has words(team) words.
+    // Makes a group of the complete team; `scratch` has words(team) words.
     ThreadGroup(const Team& all, unsigned long long* scratch) : team(&all), rows(scratch), turn(0) {}
 
     static int words(const Team& all) {

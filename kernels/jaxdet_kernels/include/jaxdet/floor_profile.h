@@ -39,7 +39,7 @@ struct FloorProfile {
     int* begin() const { return row(0); }
     // Votes for a flat floor by the cells of all nearer distance bins, for each distance bin.
     int* flat() const { return row(1); }
-    // Tolerances at each distance bin, on the first and on the fine lattice [depth units].
+    // Tolerances at each distance bin, for the coarse and for the fine lattice of ramps [depth units].
     int* coarse() const { return row(3); }
     int* fine() const { return row(4); }
     int* cursor() const { return row(7); }
@@ -95,8 +95,8 @@ struct FloorProfile {
     // Height bins of the cells, sorted by distance bin.
     const int* heights() const { return places + 2 * cells.count; }
 
-    // N ranges of height bins: inliers are from `least` to `over` - 1, and cells lower than `deep` are
-    // clearly below the floor.
+    // N ranges of height bins, one per candidate floor: inliers are in bins `least` to `over` - 1, cells
+    // in bins lower than `deep` are clearly below the floor.
     template <int N> struct Ranges {
         int over[N], least[N], deep[N];
     };
@@ -136,9 +136,9 @@ struct FloorProfile {
         return found;
     }
 
-    // Whether cells extend over some distance. The nearest and the farthest tenth of them are ignored.
-    // Sets `first` to the distance bin of the nearest of the others. `counts` has the number of cells
-    // per distance bin.
+    // Whether cells extend over more than the setting `spread`. The nearest and the farthest tenth of the
+    // cells are ignored; `first` is set to the distance bin of the nearest remaining cell. `counts` has the
+    // number of cells per distance bin.
     bool extend(const int* counts, int& first) const {
         long long total = 0, running = 0;
         for (int k = 0; k < runs(); k++) total += counts[k];

@@ -168,7 +168,7 @@ struct FloorRamps : FloorProfile {
              group -= team.size) {
             const int first = group / turns * ABREAST, turn = group % turns;
             const int slope = angles.slope(turn_of(around, turn));
-            // Start, number and votes of each ramp; the starts increase, surplus ramps repeat the last.
+            // Start, number and votes of each ramp. Starts increase; surplus entries repeat the last one.
             int start[ABREAST], number[ABREAST], votes[ABREAST], highest;
             for (int w = 0; w < ABREAST; w++) {
                 const int i = first + w < starts ? first + w : starts - 1;
@@ -226,9 +226,9 @@ struct FloorRamps : FloorProfile {
         return is_seen(team, found);
     }
 
-    // Whether the ramp is visible close to its start and over some distance. Of the cells that are not
-    // clearly above the floor, at the distances where ramp and plane differ, at least MIN_SHARE percent
-    // must be inliers of the ramp but not of the plane.
+    // Whether the ramp is visible close to its start and over some distance, see `extend`. At distances
+    // at which ramp and plane differ, at least MIN_SHARE percent of the cells that are not clearly above
+    // the floor must be inliers of the ramp but not of the plane.
     bool is_seen(const Team& team, FloorAhead ramp) const {
         const int slope = angles.slope(ramp.turn);
         const bool uphill = ramp.turn > 0;

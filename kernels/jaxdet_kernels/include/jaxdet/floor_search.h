@@ -32,10 +32,10 @@ struct FloorSample {
 // direction, the warps share the cells, and as many directions are counted at once as fit in shared
 // memory.
 struct FloorVotes : FloorSample {
-    // Directions that a thread sums up together, and their number.
+    // Directions that a thread sums up together, their number, and the number of a warp's directions.
     typedef Vectors::Ints Lanes;
     enum { LANES = Vectors::INTS, GROUP = LANES * Warp::size };
-    // A lattice has fewer than 2^BIN_BITS heights.
+    // A lattice has fewer than 2^BIN_BITS heights. `next` leaves out heights up to APART bins away.
     enum { APART = 12, BIN_BITS = 10, NOTHING = -0x7fffffff };
     // Lattice of planes: first pitch and first roll, and their spacing [angle steps]; number of pitches
     // and of rolls; lowest height [depth units]; number of heights. The spacing of heights is 2^bits
@@ -259,7 +259,7 @@ struct FloorVotes : FloorSample {
         team.sync();
         const int all = padded(), on_cuda = Warp::size > 1;
         const bool is_packed = on_cuda && !are_fast() && cells.count <= Table::MOST_PACKED;
-        // Number of directions that fit in shared memory. If there are none, all are counted at once.
+        // Number of directions that fit in shared memory; if it is 0, all are counted at once in `votes`.
         const int fits = room / (is_packed ? bins / 2 + 1 : bins + 1) / GROUP * GROUP;
         const int most = on_cuda ? fits : (int)LANES, span = most ? most : all;
         for (int first = 0; first < all; first += span)
@@ -325,7 +325,7 @@ struct FloorSearch : FloorSample {
         KEY_WORDS = 2 * (RINGS + 1 + MOST_DIRECTIONS)
     };
 
-    // Whether a plane is below the camera and the camera's tilt is usual on a robot or in a hand.
+    // Whether a plane is below the camera, with a tilt that is usual for a camera on a robot or in a hand.
     static bool is_usual(FloorPlane plane) {
         const int one = FloorAngles::ANGLES, roll = ROLLED_DEG * one;
         return plane.pitch >= PITCH_LEAST * one && plane.pitch <= PITCH_MOST * one &&
@@ -356,8 +356,8 @@ struct FloorSearch : FloorSample {
         return (MOST_DIRECTIONS + 31) / 32 * 32 * most_bins(settings);
     }
 
-    // Computes the tolerance of each cell for votes, in `slack`. It includes the spacing of directions
-    // in `per_z`, and is the same for all heights of the camera.
+    // Writes the tolerance of each cell for votes to `slack`. The tolerance includes the spacing of
+    // directions, through `per_z`, and is the same for all heights of the camera.
     void coarse(const Team& team, int per_z) const {
         const int noise = settings->noise;
         const FloorSlack rough({settings->rough.base, per_z}, noise, 0);
@@ -439,8 +439,8 @@ struct FloorSearch : FloorSample {
         return count;
     }
 
-    // Refines planes on the first `ends[n]` cells each, on CUDA a plane per warp, with at most `sharp`
-    // rounds with the sharp tolerance. Ends in a sync.
+    // Refines plane n on the first `ends[n]` cells, with at most `sharp` rounds with the sharp tolerance;
+    // on CUDA each warp refines one plane at a time. Ends in a sync.
     void refine(const Team& team, FloorPlane* planes, int count, const int* ends, FloorPlane prior,
                 bool has_prior, int sharp) const {
         ThreadGroup group(team);

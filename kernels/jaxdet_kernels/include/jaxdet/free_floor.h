@@ -7,19 +7,19 @@
 namespace jaxdet { namespace {
 
 struct FreeFloor {
-    // Indices of settings; lengths are in depth units. FAR: end of the range. GAP: floor ends at a
-    // longer gap without measurements. NEAREST, IN_RANGE and HIGHEST: minimum depth, maximum depth and
+    // Indices of settings; lengths are in depth units. FAR: end of the range. GAP: longest gap without
+    // measurements within free floor. NEAREST, IN_RANGE and HIGHEST: minimum depth, maximum depth and
     // maximum height of obstacles on rays. HALF_TURN: half the angle of a cell. NOTCH: minimum depth of
     // a notch. MIN_CELLS: minimum number of cells of an obstacle in a notch.
     enum { FAR, GAP, NEAREST, IN_RANGE, HIGHEST, HALF_TURN, NOTCH, MIN_CELLS, SETTINGS };
     enum { UNKNOWN, OBSTACLE, DROP, RANGE };
     enum {
-        // Floor ends at a drop if this many consecutive measured cells are lower than it by a drop.
+        // Number of consecutive measured cells, lower than the floor by a drop, at which the floor ends.
         RUN = 3,
         // Number of neighbouring columns on each side of a drop; more than half of them must drop too.
         NEIGHBOURS = 14,
-        // The cells beyond a drop must not be behind floor that is farther up in the image: such floor
-        // may be nearer than the nearest of them by at most one part in SHARE of its distance.
+        // The cells beyond a drop must not be behind floor that is farther up in the image: the distance
+        // of such floor must be at least 1 - 1 / SHARE of the distance of the nearest of these cells.
         SHARE = 5,
         LARGEST = 0x7fffffff,
         DEPTHS = 65536,
@@ -70,9 +70,9 @@ struct FreeFloor {
             for (int c = 0; c < n; ++c) out[c] = cell[c];
     }
 
-    // Finds the free floor for a camera in any orientation; it is unknown if the camera is on its side.
+    // Finds the free floor for an upright or inverted camera; it is unknown if the camera is on its side.
     void run(const FloorFrame& frame) {
-        const int aside = frame.axes[6], upright = frame.axes[7];  // of the down vector
+        const int aside = frame.axes[6], upright = frame.axes[7];  // x and y of the down vector
         turned = upright < 0;
         if ((aside < 0 ? -aside : aside) > (upright < 0 ? -upright : upright)) {
             for (int k = team.rank; k < 4 * columns; k += team.size) line_out[k] = 0;
@@ -114,7 +114,7 @@ struct FreeFloor {
         for (int top = 0; top < rows; top += SEEK) {
             int own[SEEK][ABREAST], ahead[SEEK][ABREAST];
             for (int i = 0; i < SEEK; ++i) {
-                const int row = top + i < rows ? top + i : rows - 1;  // again, which changes nothing
+                const int row = top + i < rows ? top + i : rows - 1;  // repeats without effect
                 take(label, row, left, n, own[i]);
                 take(forward, row, left, n, ahead[i]);
             }
@@ -211,8 +211,8 @@ struct FreeFloor {
         return found == RUN;
     }
 
-    // Writes where the free floor of column c begins and ends, and the reason of its end; `i` is the
-    // index of the column in `of`. Drops in too few columns are removed later.
+    // Writes the points at which the free floor of column c begins and ends, and why it ends; `i` is the
+    // index of the column in `of`. `run` removes drops in too few columns later.
     void put(Columns& of, int i, int c) const {
         const int obstacle = of.nearest[i];
         const bool blocked = obstacle >= 0, seen = of.first[i] >= 0;

@@ -7,7 +7,7 @@ namespace jaxdet { namespace {
 // The outer columns of a grid of cells at each side, where stereo depth bends. Twin of `margins` in
 // jaxdet/reference/_cells.py.
 struct Margins {
-    enum { MARGIN = 8 };  // one in MARGIN columns on each side
+    enum { MARGIN = 8 };  // inverse of the fraction of columns on each side
     int columns, width;
 
     explicit Margins(int columns) : columns(columns), width(columns / MARGIN) {}
@@ -16,8 +16,8 @@ struct Margins {
 };
 
 // Layout of R rows and C columns of cells in a plane of scratch memory with one more row above and
-// below and PAD more columns on both sides. The columns to the right of a row are those to the left of
-// the next row.
+// below and PAD more columns on both sides. The columns to the right of a row are the same memory as the
+// columns to the left of the next row.
 struct Grid {
     enum { PAD = 16, MOST_COLUMNS = 512 };
     int rows, columns, stride, size;

@@ -11,7 +11,7 @@ namespace jaxdet { namespace {
 // Box of a cell in the image in which boxes are reported: its square in an aligned depth image, or the
 // extent of its corners in the colour image. Twin of `cell_boxes` in jaxdet/reference/_cells.py.
 struct CellBoxes {
-    // The image of boxes, relative to that of depth.
+    // How the image in which boxes are reported relates to the depth image.
     enum Image { ALIGNED, PINHOLE, DISTORTED };
     int columns, side;                 // columns of the grid, and side of a cell [depth pixel]
     const float *corner_x, *corner_y;  // (rows + 1, columns + 1) rays of corners; unused if depth is aligned
@@ -24,7 +24,7 @@ struct CellBoxes {
     }
 
     // Writes the box of cell k, measured at depth d: its first and last column, and its first and last
-    // row. If it is not in the image, the first is after the last.
+    // row. If the cell is not in the image, the first is after the last.
     __attribute__((always_inline)) void box(int k, int d, Image image, int* left, int* right, int* top,
                                             int* bottom) const {
         // The rounding error is too small to reach the next row: a grid has at most 2^18 cells.

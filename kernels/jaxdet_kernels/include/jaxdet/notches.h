@@ -6,9 +6,9 @@
 namespace jaxdet { namespace {
 
 struct Notches {
-    const FreeFloor& floor;  // free floor; its columns must have been traced
+    const FreeFloor& floor;  // free floor, whose `run` has finished
     const int* settings;
-    const int* rises;  // (DEPTHS,) step, indexed by z; `slope` is its growth with noise
+    const int* rises;  // (DEPTHS,) step height by z; due to noise it is at least `slope` times z
     int slope;
     // Scratch. `notch` is the notch of each column, -1 if there is none. `size` is first the number of
     // cells of each notch, then the number of its obstacle, -1 if it has too few cells. `most` is the
@@ -18,7 +18,7 @@ struct Notches {
     int *num_obstacles, *first;
 
     // `ahead` is the forward distance at which the floor of column c ends [depth units], 0 if no floor
-    // is visible. `is_short` is whether floor is visible and ends for an unknown reason.
+    // is visible. `is_short` is true if the floor is visible and ends for an unknown reason.
     int ahead(int c) const { return floor.line_out[4 * of(c) + 3]; }
     bool is_short(int c) const { return floor.end_out[of(c)] == FreeFloor::UNKNOWN && ahead(c) > 0; }
     int of(int c) const { return floor.turned ? floor.columns - 1 - c : c; }
@@ -70,7 +70,7 @@ struct Notches {
         return found;
     }
 
-    // Calls `use` with the notch and the index of each cell above the step in a notch.
+    // Calls `use` with the notch and the index of each cell above half of the step height in a notch.
     template <class Use> void each_cell(Use use) const {
         for (int c = floor.team.rank; c < floor.columns; c += floor.team.size) {
             const int n = notch[c], end = floor.rows * floor.columns, from = ahead(c);

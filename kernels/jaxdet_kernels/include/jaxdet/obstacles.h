@@ -24,7 +24,7 @@ struct Obstacles {
     // Number of words of fast memory: shared memory on CUDA, the stack on the CPU.
     enum { FAST = Warp::size > 1 ? 4096 : (int)Evidence::FAST };
     static_assert((int)FAST >= (int)Evidence::FAST, "room for a batch of pairs");
-    int* fast;  // reused by one stage after the other, aligned to 16 bytes
+    int* fast;  // FAST words, aligned to 16 bytes; each stage reuses them
     int rows, columns;
     // Surface, position in the camera optical frame, and position on and height above the floor, of
     // each cell [depth units]; and whether it is free. Surfaces are numbered in the order of their first
@@ -44,7 +44,7 @@ struct Obstacles {
     unsigned char* near_pairs;
     int* bits;
     CellList listed;  // labels are first surfaces, then merged surfaces, then parts of obstacles
-    Extents first, whole, last;
+    Extents first, whole, last;  // of surfaces, of merged surfaces, and of obstacles or their parts
     int *group, *number, *small, *spare, *over, *counts, *parts, *part_of;
 
     // Allocates the arrays.
@@ -156,8 +156,8 @@ struct Obstacles {
         team.sync();
     }
 
-    // Merges small surfaces into others. Sets `number`, the merged surface of each surface, and the
-    // extents `whole` of merged surfaces.
+    // Merges small surfaces with surfaces that they touch. Sets `number`, the merged surface of each
+    // surface, and the extents `whole` of merged surfaces.
     void join_small(const Team& team) const {
         const int count = counts[SURFACES];
         measure(team, first, count);
@@ -284,7 +284,7 @@ struct Obstacles {
     // Sorts obstacles by distance and removes those that are too small or too far away.
     void order(const Team& team) const {
         const int count = counts[PARTS], wholes = counts[WHOLE];
-        // If nothing is split and no width matters, the cells still have the labels of surfaces.
+        // If nothing is split and no width matters, the cells still have the labels of merged surfaces.
         bool named = count > counts[GROUPS];
         if (team.any(width_decides(team, last, count)) && !named) {
             name(team);

@@ -9,7 +9,7 @@
 namespace jaxdet { namespace {
 
 struct Outlines {
-    // Indices of settings. TRIM: number of outermost cells that are trimmed before A, B and C. VERTEX:
+    // Indices of settings. TRIM: maximum number of outermost cells that are trimmed for A, B and C. VERTEX:
     // minimum distance by which a vertex is nearer than A and B. LONG: length from which the long sides
     // of a rectangle are trimmed. Lengths are in depth units.
     enum { TRIM, VERTEX, LONG, SETTINGS };
@@ -19,7 +19,7 @@ struct Outlines {
         LONG_TRIM = 20,
         // Number of bits of a cell index.
         CELL_BITS = 20,
-        // This is larger than any sum of distances to edges without fraction bits.
+        // Cost if no edge faces the camera; it is larger than any sum of distances to edges.
         NO_EDGE = 1 << 30
     };
 
@@ -34,7 +34,7 @@ struct Outlines {
     int result_words;
     // Key of the nearest cell of each obstacle in each column: its squared distance, then its index.
     unsigned long long* nearest;
-    // Area and cost of the rectangle of each obstacle in each direction; they decide the direction.
+    // Area and cost of the rectangle of each obstacle in each direction, see `fits_better`.
     long long* area;
     int* cost;
     // Number of contour points in the left and in the right margin, per obstacle.
@@ -42,7 +42,7 @@ struct Outlines {
     // Coordinate of each cell along or across the direction, in the order of the sorted cells.
     int* projected;
 
-    // Allocates the arrays, then those of `grid`, which is `cells`.
+    // Allocates the arrays, then those of `grid`, which must be the object that `cells` refers to.
     void allocate(Arena& arena, ObstacleCells& grid) {
         arena.take(2 * slots * cells.columns, nearest);
         arena.take(2 * slots * DIRECTIONS, area);
@@ -52,7 +52,7 @@ struct Outlines {
         grid.allocate(arena, slots);
     }
 
-    // Runs all parts, including `measures`.
+    // Computes contours, rectangles and `measures`. Ends in a sync.
     void run() const {
         const Team& team = cells.team;
         clear();
@@ -144,8 +144,8 @@ struct Outlines {
         }
     }
 
-    // Computes the sum of the distances from `n` points to the nearer of the edges that face the
-    // camera.
+    // Computes area and cost of the rectangle around `n` points. The cost is the sum of the distances from
+    // the points to the nearer of the edges that face the camera.
     void compare(int i, const int* line, int n, const int* direction) const {
         const int dx = direction[0], dy = direction[1];
         Extremes along, across;
@@ -221,7 +221,7 @@ struct Outlines {
         measures.put(all, found, found + 1);
     }
 
-    // Returns the extremes after one in LONG_TRIM cells is removed at each end.
+    // Sets `side` to the extremes after one in LONG_TRIM cells is removed at each end.
     void trim(ObstacleCells::Range range, int ax, int ay, int* side) const {
         const Ranks ranks(warp);
         const int passed = range.size() / LONG_TRIM, first = range.first, end = range.end;

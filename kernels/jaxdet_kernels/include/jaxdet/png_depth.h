@@ -26,7 +26,7 @@ struct PngDepth {
         for (int v = 0; v < height; v += LINES) undo(v, height - v < LINES ? height - v : LINES);
     }
 
-    // Decodes `count` lines beginning at v.
+    // Decodes `count` lines, from line v on.
     void undo(int v, int count) const {
         Lanes left = {}, above = {}, corner = {}, mean = {};  // -1: the filter uses the input
         for (int r = 0; r < count; ++r) {

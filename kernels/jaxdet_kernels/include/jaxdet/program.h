@@ -52,7 +52,7 @@ struct Frame {
     const float *block_settings, *parameters, *corner_x, *corner_y;
     const FloorSettings* floor_settings;
     const int *rays, *tile_corners, *sines, *feature, *threshold, *value, *obstacle_settings;
-    // Intermediate arrays that steps pass on, one value per cell except for `frame`.
+    // Intermediate arrays that a step writes for later steps, one value per cell except for `frame`.
     int *frame, *x, *y, *z, *nearest, *right, *forward, *above, *surface, *label;
     unsigned char *keep, *free, *low;
     // The record of results.
@@ -195,8 +195,8 @@ struct Frame {
         with_outlines(team, number, arena, [](const Outlines& outlines) { outlines.run(); });
     }
 
-    // Returns the largest number of scratch words of any step, computed with the CPU's layout; CUDA
-    // needs no more.
+    // Returns the largest number of scratch words of any step, computed for the layout on the CPU; the
+    // layout on CUDA needs no more words.
     size_t scratch_words(const Team& team) const {
         enum { FLOOR, SURFACES, OBSTACLES, OUTLINES, FREE_FLOOR, ALL };
         Arena of[ALL];

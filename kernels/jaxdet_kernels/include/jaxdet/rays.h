@@ -25,13 +25,13 @@ struct Rays {
     // Point on the floor: position, bearing in units of 1 / TURN of a turn, and range from the foot.
     struct Point { int right, forward, bearing, range; };
 
-    const FreeFloor& floor;  // free floor; its columns must have been traced
+    const FreeFloor& floor;  // free floor, whose `run` has finished
     const int* angles;       // (2^RATIO_BITS + 1,) bearings up to an eighth of a turn, by tangent
     const int* directions;   // (2, RAYS, 2): directions of rays, and of the left edges of their sectors
     // For each ray: start of the floor; end of the floor, as in `packed`; squared range of the nearest
     // obstacle, as the bits of a float32.
     int *start, *stop, *block;
-    int* polar;  // (columns, 2, 2): bearing and range of the start and end of columns
+    int* polar;  // (columns, 2, 2): bearing and range of the start and the end of each column's floor
     int turn;    // half a cell's angle [rad], with TURN_BITS fraction bits
 
     static int magnitude(int a) { return a < 0 ? -a : a; }
@@ -144,8 +144,8 @@ struct Rays {
         return floor.team.any(found);
     }
 
-    // Calls `put` with each sector that a segment crosses and with the smallest or the largest range of
-    // the segment in this sector.
+    // Calls `put` with each sector that a segment crosses and with the segment's range in this sector, the
+    // smallest if LEAST, otherwise the largest.
     template <bool LEAST, class Put> void sweep(Point first, Point last, Put put) const {
         const int turn = turn_to(first.bearing, last.bearing);
         const Point &leftmost = turn < 0 ? last : first, &rightmost = turn < 0 ? first : last;
@@ -243,7 +243,7 @@ struct Rays {
         floor.team.sync();
     }
 
-    // Range at which the floor on a ray ends, according to the columns; 0 if they show no floor there.
+    // Range at which the floor on a ray ends, from the columns; 0 if no column shows floor on this ray.
     int floor_end(int ray, bool foot_inside) const {
         return (foot_inside || start[ray] >= 0) && stop[ray] < NONE ? stop[ray] >> END_BITS : 0;
     }
@@ -277,23 +277,23 @@ struct Rays {
 };
 
 // Nearest obstacle above the step height in each sector of bearings. The position of an obstacle is
-// that of the nearest pixel of its cell or, if that is too near, of the cell itself. The computation is
-// in float32 as in the reference, with each operation rounded separately.
+// that of the nearest pixel of its cell or, if this pixel is nearer than the minimum depth, of the cell.
+// The computation is in float32 as in the reference, with each operation rounded separately.
 struct RayBlocks {
     // A tile is TILE rows of a column of cells; its nearest point blocks all sectors that the tile
     // covers. A thread processes the tiles of ABREAST columns together.
     enum { TILE = 4, CORNER_BITS = 12, WIDEST = Rays::TURN / 4 };
     enum { ABREAST = Warp::size > 1 ? 1 : (int)Grid::MOST_COLUMNS };
-    // Indices of settings: STEP is the step height at depth 0; GROWTH is its increase per depth unit;
-    // NOISE is the noise of depth.
+    // Indices of settings: STEP is the step height at depth 0; GROWTH is its increase per depth unit; NOISE
+    // times depth and height of the camera is its minimum [1 / depth unit].
     enum { STEP, GROWTH, NOISE, SETTINGS };
     const FreeFloor& floor;  // the cells
     int nearest, farthest, highest;  // minimum and maximum depth, and maximum height, of obstacles
     const int* pixels;  // smallest measured depth of each cell
     // Rays of cells, (2, rows, columns), and of corners of tiles, (2, tiles + 1, columns + 1).
     const int *rays, *corners;
-    // Axes of the floor, the first two components for rays with RAY_BITS fraction bits; height of the
-    // camera; step height; start and slope of the ramp.
+    // Axes of the floor, whose first two components are scaled for rays with RAY_BITS fraction bits; height
+    // of the camera; settings of the step height; start and slope of the ramp.
     float axes[3][3], camera, step, growth, noise, ramp_start, ramp_slope;
 
     // If the floor is unknown, all points get the same height, so that all of them may be obstacles.
@@ -338,7 +338,7 @@ struct RayBlocks {
         return (is_cell | is_pixel) ? found.bits : (int)Rays::INFINITE;
     }
 
-    // Lowers n minima of squared ranges to those of the cells from k on.
+    // Lowers `least[i]`, for i below n, to the squared range of the obstacle in cell k + i, if smaller.
     void lower(int* least, int k, int n) const {
         JAXDET_VECTORIZE
         for (int i = 0; i < n; ++i) {
@@ -347,7 +347,7 @@ struct RayBlocks {
         }
     }
 
-    // Bearing of corner k of tiles.
+    // Bearing of the ray through corner k of the tiles.
     __attribute__((always_inline)) int bearing(const Rays& to, int k) const {
         const int all = num_corners(floor.rows, floor.columns);
         const float x = (float)corners[k], y = (float)corners[all + k];
@@ -379,7 +379,7 @@ struct RayBlocks {
         }
     }
 
-    // Adds all tiles; `bearings` has a word per corner. Ends in a sync.
+    // Adds the obstacles of all tiles; `bearings` is scratch memory, a word per corner. Ends in a sync.
     void run(const Rays& to, int* bearings) const {
         const Team& team = floor.team;
         const int rows = floor.rows, columns = floor.columns;

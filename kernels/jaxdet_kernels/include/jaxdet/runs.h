@@ -7,8 +7,8 @@
 
 namespace jaxdet { namespace {
 
-// Lock-free union-find with path halving. The root is the smallest member of a set; sets are merged by
-// compare-and-swap, so the parent of a root only ever decreases.
+// Lock-free union-find with path halving. The root is the smallest member of a set. Sets are merged by
+// compare-and-swap, so that a parent only decreases.
 struct UnionFind {
     int* parent;
 
@@ -24,7 +24,7 @@ struct UnionFind {
         return one;
     }
 
-    // Returns the root without changing parents, as is necessary where others write roots to `parent`.
+    // Returns the root without changing parents, for use while other threads write roots to `parent`.
     int root(int one) const {
         while (parent[one] != one) one = parent[one];
         return one;
@@ -71,7 +71,7 @@ struct Runs {
         return count;
     }
 
-    // The run of bit k of word i.
+    // Number of the run that contains bit k of word i.
     int at(int i, int k) const {
         return before[i] + BitRows::popcount(starts[i] & ((2u << k) - 1)) - 1;
     }

@@ -2,7 +2,7 @@
 // Lossless Depth Image Compression, ISS 2017.
 //
 // A number is a sequence of nibbles with three bits each, lowest first; the top bit of a nibble is set
-// if more follow. Nibbles are packed in little-endian 32-bit words, most significant first.
+// if more nibbles follow. Nibbles are packed in little-endian 32-bit words, most significant first.
 #pragma once
 #include "team.h"
 
@@ -39,7 +39,7 @@ struct RvlWindows {
     }
 };
 
-// Bit reader of the stream, with the next nibble at the top of a register; zeros after the end.
+// Bit reader of the stream, with the next nibble at the top of a register; it reads zeros after the end.
 struct RvlNibbles {
     const unsigned char* words;
     long long count;     // number of words
@@ -90,7 +90,7 @@ struct RvlDecoder {
     long long size;  // number of pixels of the image
     RvlWindows table;
 
-    // Decodes alternating runs of zeros and of other pixels until the image is full.
+    // Decodes alternating runs of zeros and of other pixels until the image is full; returns the status.
     int run() {
         long long at = 0, value = 0;
         while (at < size) {
@@ -113,8 +113,8 @@ struct RvlDecoder {
         return GOOD;
     }
 
-    // Decodes up to three pixels at once, if no value can leave 16 bits; returns false otherwise, or if
-    // no number is complete.
+    // Decodes up to three pixels at once. Returns false, without a change, if a value might leave the range
+    // of 16 bits, or if no difference is complete in the next three nibbles.
     bool window(long long& at, long long& value) {
         const RvlWindows::Window& next = table.windows[nibbles.bits >> (64 - RvlWindows::BITS)];
         if (!next.count || value < RvlWindows::REACH || value > MOST - RvlWindows::REACH)

@@ -14,7 +14,7 @@ struct SmallSurfaces {
     const int *label, *z;  // surface and depth of each cell
     const int* small;      // whether each surface is too small
     int* touching;         // scratch, (count, count): number of touching cells
-    // Input: each surface is its own set. Result, as `parent`: the smallest surface of each set.
+    // Input: each surface is its own set. Result, in `parent`: the first surface of each surface's set.
     UnionFind sets;
 
     // Joins each surface that is too small with the one that it touches most. Ends in a sync.

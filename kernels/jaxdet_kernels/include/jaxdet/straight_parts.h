@@ -29,7 +29,7 @@ struct StraightParts {
         return found > 1 ? found : 1;
     }
 
-    // Returns twice the area of the largest triangle behind the chord of two points, and its tip.
+    // Returns twice the area of the largest triangle of a chord and a point behind it, and this point.
     long long behind(int first, int last, int* tip) const {
         const long long right = x[last] - x[first], forward = y[last] - y[first];
         const bool faces = right * y[first] - forward * x[first] >= 0;

@@ -19,8 +19,8 @@ struct Surfaces {
     };
     // Indices of settings; lengths are in depth units. NEAREST and FARTHEST: depth range of surfaces.
     // CREASE_CELLS, MIN_CELLS and CREASE_MARGIN: radius, minimum size and dilation of creases [cells].
-    // BENT: height up to which surfaces without a steep side are floor. NOISE: growth of the floor's
-    // tolerance per depth and per height of the camera, with NOISE_BITS fraction bits. HIGHEST: height
+    // BENT: height up to which surfaces without a steep side are floor. NOISE: step height due to noise
+    // per depth and per height of the camera, with NOISE_BITS fraction bits. HIGHEST: height
     // above which the robot passes below obstacles. IN_RANGE: end of the depth range. HOLE: largest
     // hole [cells].
     enum {
@@ -45,12 +45,12 @@ struct Surfaces {
     struct Parts {
         Grid grid;
         int *depth, *other, *step;  // grids of cells, see `Creases`
-        // `parent` and `label` have a value per run. The others have a value per surface, at the index
-        // of its root run: number of cells; first cell; top; and `level`, the sum over those of its
-        // lowest cells that have floor below, of 2 per cell and of -3 per cell whose side is steep.
+        // `parent` and `label` have a value per run. The other arrays have a value per surface, at the
+        // index of its root run: number of cells; first cell; top; and `level`, a sum over its cells that
+        // are directly above a floor cell: 2 per cell, minus 3 if the side of the cell is steep.
         int *parent, *label, *sizes, *first, *top, *level;
-        // Bitmaps of cells, and the number of runs that begin before each word. They are in shared memory
-        // if they fit there.
+        // Bitmaps of cells, and the number of runs that begin before each word. On CUDA these arrays are in
+        // shared memory if they fit there.
         BitRows kept, on, starts, up;
         int* before;
 
@@ -71,7 +71,7 @@ struct Surfaces {
             up.bits = starts.bits + count;
         }
 
-        // Runs of the cells of a bitmap, given the bitmap of their first cells.
+        // Returns the runs of the cells of a bitmap; `firsts` is the bitmap of the runs' first cells.
         Runs runs(const BitRows& cells, const BitRows& firsts) const {
             return {cells, firsts, before, {parent}, sizes};
         }
@@ -95,8 +95,8 @@ struct Surfaces {
         return on;
     }
 
-    // Increase of the floor's tolerance due to noise, per depth unit of z, with SLOPE_BITS fraction
-    // bits.
+    // Step height due to noise, per depth unit of z, with SLOPE_BITS fraction bits. Cells up to this
+    // height or up to `rises`, whichever is larger, are floor.
     static int noise(const FloorFrame& frame, int setting) {
         const long long high = frame.height > 0 ? frame.height : 0;
         const long long slope = high * setting >> (NOISE_BITS - SLOPE_BITS);
@@ -131,7 +131,7 @@ struct Surfaces {
         return Creases::apart(z_one, z_other) <= (step_one < step_other ? step_one : step_other);
     }
 
-    // Finds the first cells of runs of linked cells, and the cells linked to the one above.
+    // Finds `starts`, the first cells of runs of linked cells, and `up`, cells linked to the cell above.
     void find_links(const Team& team, const Parts& in) const {
         const BitRows &on = in.on, &starts = in.starts, &up = in.up;
         const Warp warp(team);
@@ -384,7 +384,7 @@ struct Surfaces {
         team.sync();
     }
 
-    // Whether a surface is floor that appears bent up because of sensor error.
+    // Whether a surface is floor that appears to bend upwards because of errors of the sensor.
     bool is_bent(const Parts& in, int label) const {
         const bool flat = in.level[label] > 0 || !in.sizes[label];
         return flat && in.top[label] <= settings[BENT];

@@ -16,14 +16,14 @@
 #include <stddef.h>
 #endif
 
-// Memory of a function that the threads of a team share; a cache line or more on the CPU's stack.
+// Declares memory that the threads of a team share: shared memory on CUDA, the stack on the CPU.
 #if defined(__CUDA_ARCH__)
 #define JAXDET_SHARED __shared__ __align__(16)
 #else
 #define JAXDET_SHARED alignas(16)
 #endif
 
-// Before a loop whose number of iterations is constant: it is unrolled completely.
+// Placed before a loop with a constant number of iterations, to unroll the loop completely.
 #if defined(__CUDA_ARCH__) && defined(__CUDACC__)
 #define JAXDET_UNROLL_ON_CUDA _Pragma("unroll")
 #define JAXDET_UNROLL JAXDET_UNROLL_ON_CUDA
@@ -35,7 +35,7 @@
 #define JAXDET_UNROLL
 #endif
 
-// Before a loop that may be vectorized on the CPU although its pointers might overlap.
+// Placed before a loop, to vectorize it on the CPU although its pointers might overlap.
 #if defined(__clang__)
 #define JAXDET_VECTORIZE _Pragma("clang loop vectorize(assume_safety)")
 #else
@@ -110,9 +110,9 @@ struct Team {
 };
 
 #if !defined(__CUDA_ARCH__)
-// Calls `work(b)` for frames that no other thread has taken until none is left; `next` is the index of
-// the next free frame. All frames share one launch because after each launch a Python thread would have
-// to wait for the interpreter lock.
+// Takes frames that no other thread has taken, and calls `work(b)` for each, until none is left; `next` is
+// the index of the next free frame. All frames share one launch because after each launch a Python thread
+// would have to wait for the interpreter lock.
 template <class Work> void each_frame(int* next, int frames, Work work) {
     for (;;) {
         const int b = __atomic_fetch_add(next, 1, __ATOMIC_RELAXED);

@@ -4,7 +4,7 @@
 //     for (int task = warp.index; task < tasks; task += warp.count)
 //         for (int i = warp.lane; i < n; i += warp.size) ...
 //
-// Sums, minima and maxima are collective calls: all lanes must make them, and all get the result.
+// Sums, minima and maxima are collective calls: all lanes must make the call, and all get the result.
 #pragma once
 #include "bits.h"
 
@@ -18,7 +18,7 @@ struct Warp {
     // inclusive_sum  inclusive prefix sum over the lanes
 #if defined(__CUDA_ARCH__)
     enum : unsigned { ALL = 0xffffffff };
-    enum { size = 32, MOST = 1024 / size };  // MOST: most warps of a team
+    enum { size = 32, MOST = 1024 / size };  // MOST: maximum number of warps of a team
     int lane, index, count;
 
     explicit Warp(const Team& team)
@@ -101,7 +101,7 @@ struct Warp {
 #endif
     }
 
-    // Rank of this lane among those whose argument is true, and their number; a collective call.
+    // Number of earlier lanes whose argument is true; `all` becomes that of all lanes. A collective call.
     int ballot_rank(bool mine, int* all) const {
         const unsigned who = ballot(mine);
         *all = BitRows::popcount(who);
