@@ -1,8 +1,8 @@
 """Own index of an MCAP file: time and position of each message, without reading messages.
 
 The summary at the end of the file has the channels, the number of messages, and the positions of
-the chunks and of the message indexes that follow each chunk. These are checked against each other
-here, and against each message when it is read.
+the chunks and of the message indexes that follow each chunk. Summary and indexes are checked here
+against each other, and later against each message when it is read.
 """
 
 import struct
@@ -34,19 +34,19 @@ from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS
 
 _FOOTER = struct.Struct("<BQQQI")
 INDEX_HEAD = struct.Struct("<HI")
-"""Channel and size of the entries of a message index."""
+"""Channel of a message index, and size of its entries [byte]."""
 INDEX_ENTRY_BYTES = 16
 """Size of an entry: log time and offset in the chunk."""
 _INDEX_RECORD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("size", "<u4")])
 """Start of a message index record, up to its entries."""
 _PADDING = bytes(INDEX_ENTRY_BYTES)
-"""Bytes after the message indexes, so that even the last empty one can be viewed as entries."""
+"""Bytes after the message indexes, so that the data can be viewed even if there are no entries."""
 _INDEX_PLACE = np.dtype([("channel", "<u2"), ("position", "<u8")])
 """Entry of a chunk index: position of the message index of a channel in the file [byte]."""
 _CHUNK_BEGIN, _CHUNK_MIDDLE = struct.Struct("<QQQQI"), struct.Struct("<QI")
 _CHUNK_END = struct.Struct("<QQ")
-"""Fields of a chunk index, with the positions of the message indexes and the name of the
-compression between them."""
+"""Fields of a chunk index. Between these three parts are the positions of the message indexes and
+the name of the compression."""
 
 
 class ChunkIndexes(NamedTuple):
@@ -88,7 +88,7 @@ def read_summary(file: LogFile, at: int | None = None) -> Summary:
 
     Args:
         file: File.
-        at: Start of the summary; by default from the footer. If set, the CRC must be correct.
+        at: Start of the summary [byte]; default: from the footer. If set, the CRC must be right.
 
     Raises:
         DamageError: The file has no summary, or it can't be parsed.
@@ -219,7 +219,7 @@ def _checked(file: LogFile, chunks: ChunkIndexes) -> ChunkIndexes:
 
 
 def _indexed_messages(chunks: ChunkIndexes, contents: Sequence[bytes]) -> np.ndarray:
-    """Return the input of :func:`jaxdet.io.file_index.file_index`.
+    """Return the messages as :func:`jaxdet.io.file_index.file_index` takes them, ``(4, N)``.
 
     Args:
         chunks: Chunks of the file.
