@@ -302,7 +302,7 @@ def test_two_logs_with_one_name_are_refused(logs: Path, tmp_path: Path) -> None:
         run_logs([logs / "a.mcap", tmp_path / "a.mcap"], tmp_path / "out", **HOW)
     (log,) = find_logs([str(tmp_path / "a.mcap")])
     with pytest.raises(ConfigError, match=r"a.mcap: has the name of .*a.mcap"):
-        engine.run([log, log], tmp_path / "out", **HOW)
+        run_logs([log, log], tmp_path / "out", **HOW)
     run_logs([tmp_path / "a.mcap"], tmp_path / "out", **HOW)
 
 

@@ -21,7 +21,8 @@ from jaxdet.fleet.run_log import prepare, run_logs
 from jaxdet.memory import size_text
 
 _PER_SLOT = 4
-"""Number of Ray tasks in flight per slot of the cluster: no slot waits for the driver, and autoscalers see demand."""
+"""Number of Ray tasks in flight per slot of the cluster, so that no slot waits for the driver, and
+autoscalers see demand."""
 _LEAST_WINDOW = 32
 _MOST_LOGS = 8
 """Maximum number of logs in a Ray task; the next log is fetched while one is computed."""

@@ -14,7 +14,7 @@ The modules, from files to frames::
         bag                           ROS 1
         sqlite, image_folder          ROS 2 and folders, in which each message is a chunk
       file_index                    positions of all messages as arrays, in the same form for all
-                                      formats; from the file's own index, or rebuilt
+                                      formats; from the file's own index, or from a scan
       opening, indexed              messages by topic (records); the first of each topic are decoded
                                       (contents), or all small messages and all timestamps
       findings                      cameras, topics, calibration (intrinsics, extrinsics), poses,

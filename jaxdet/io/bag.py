@@ -5,8 +5,8 @@ contains connections and messages, and is followed by its index; all connections
 of the chunks are at the end of the file. Source: the ROS wiki's page "Bags/Format/2.0". A bag is
 read only by its index; if the recording was not closed, ``rosbag reindex`` creates one.
 
-``rosbags`` decodes the messages, but not the file: its reader needs 150 bytes per message, parses
-the index entry by entry, and decompresses chunks of any size.
+``rosbags`` decodes the messages, but its file reader is not used: it needs 150 bytes per message,
+parses the index entry by entry, and decompresses chunks without a size limit.
 
 The header of a message is larger in a bag (46 bytes) than in MCAP (31). The converted chunk
 therefore has the length of the original, each message starts at the offset in the bag's index, and
@@ -39,7 +39,7 @@ MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 MAGIC = b"#ROSBAG V2.0\n"
 _LENGTH = struct.Struct("<I")
 _PADDING = 0x80
-"""Opcode of MCAP records reserved for applications."""
+"""Opcode of the padding records, one that MCAP reserves for applications."""
 _MAX_HEAD_BYTES = 1 << 16
 _FIRST_BYTES = 256
 """Number of bytes of a record header that are read first."""
@@ -82,7 +82,7 @@ class _End(NamedTuple):
 
     connections: dict[int, ChannelInfo]
     counts: dict[int, dict[int, int]]
-    """Number of messages per connection, by position of the chunk."""
+    """Number of messages per connection in each chunk, by the position of the chunk [byte]."""
 
 
 class BagFile(LogFile):
@@ -108,7 +108,7 @@ class BagFile(LogFile):
             raise self.without_index("the bag was not closed")
 
     def without_index(self, why: str) -> InputError:
-        """Return the error of a bag whose index is missing or damaged."""
+        """Return the error for a bag whose index is missing or damaged."""
         remedy = "run rosbag reindex on a copy"
         return InputError(
             f"the bag has no usable index ({why})", path=str(self.path), remedy=remedy
@@ -126,7 +126,7 @@ class BagFile(LogFile):
         return file_index(dict(sorted(end.connections.items())), messages, about)
 
     def rebuild_index(self) -> FileIndex:
-        """Return the bag's own index again, for a bag with unreadable messages.
+        """Return the bag's own index again, as bags are not scanned; messages may be unreadable.
 
         Raises:
             InputError: The bag's own index is incomplete or wrong.
@@ -144,7 +144,7 @@ class BagFile(LogFile):
             end: Upper limit for the end of the record [byte]; by default the size of the file.
 
         Raises:
-            DamageError: There is no complete record.
+            DamageError: There is no complete record at the position.
         """
         end = self.size if end is None else min(end, self.size)
         known = self.read(position, max(0, min(_FIRST_BYTES, end - position)))
@@ -158,7 +158,7 @@ class BagFile(LogFile):
         return found
 
     def chunk_head(self, position: int) -> ChunkHead:
-        """Return the header of the chunk whose record starts at ``position``; its times are 0.
+        """Return the header of the chunk whose record starts at ``position``, with log times of 0.
 
         Raises:
             DamageError: There is no chunk.
@@ -225,10 +225,10 @@ def records(data: bytes) -> Iterator[BagRecord]:
 
 
 def read_record(data: bytes, place: int, start: int = 0) -> BagRecord:
-    """Parse the record header at offset ``place`` of data, which begin at file position ``start``.
+    """Parse the record header at offset ``place`` of data that start at ``start`` in the file.
 
     Raises:
-        DamageError: The header is damaged. Incomplete data of the record are no error.
+        DamageError: The header is damaged; it is not an error if the data after it are incomplete.
     """
     try:
         (size,) = _LENGTH.unpack_from(data, place)
@@ -336,9 +336,9 @@ def _connection(record: BagRecord, about: dict[bytes, bytes]) -> ChannelInfo:
 def _chunk_index(
     file: BagFile, position: int, end: int, counts: dict[int, int]
 ) -> Iterator[np.ndarray]:
-    """Yield the index of a chunk: connection, log time, chunk position and offset.
+    """Yield the messages of a chunk according to its index, as arrays ``(4, N)`` int64.
 
-    The arrays are ``(4, N)`` int64 for ``N`` messages.
+    The rows are connection, log time [ns], position of the chunk and offset in the chunk [byte].
 
     Raises:
         DamageError: The index of the chunk is invalid.

@@ -11,7 +11,7 @@ from jaxdet.io.timeline import Notes, total
 from jaxdet.types import Frames
 
 _PER_FRAME = ("number", "stamp_ns", "color_stamp_ns", "valid")
-"""Small fields of :class:`jaxdet.types.Frames`, without the poses."""
+"""Per-frame fields of :class:`jaxdet.types.Frames`, except images and poses."""
 
 
 class LogFrame(NamedTuple):
@@ -56,7 +56,7 @@ class Batch(NamedTuple):
     errors: tuple[str, ...]
     """Explanation of each status in one line; empty if it is OK."""
     notes: Notes = Notes()
-    """Further observations, for :meth:`Log.described`."""
+    """Observations from reading the frames, for :meth:`Log.described`."""
     decoding_s: float = 0.0
     """Time spent on decoding images [s]; the rest of the time was spent on reading."""
     camera_frame: str = ""
@@ -64,12 +64,12 @@ class Batch(NamedTuple):
     world_frame: str = ""
     """Name of the world frame of the poses; empty if there are no poses."""
     log_time_ns: np.ndarray | None = None
-    """Log time of the depth image of each frame, int64 [ns]; None if there is no log."""
+    """Log time of the depth image of each frame, int64 [ns]; None if the frames have no log."""
     color_frame: str = ""
     """Name of the colour camera's optical frame; empty if the log does not name it."""
     nearest_color_ns: np.ndarray | None = None
-    """Timestamp in the header of the colour image nearest to each frame, int64 [ns], -1 = none; it
-    does not depend on whether colour was read. None if there is no log."""
+    """Timestamp in the header of the colour image nearest to each frame, int64 [ns], -1 = none,
+    even if colour was not read; None if the frames have no log."""
 
     def one_by_one(self) -> Iterator[LogFrame]:
         """Yield the frames without the padding."""
@@ -89,7 +89,7 @@ class Batch(NamedTuple):
             )
 
     def without_images(self) -> "Batch":
-        """Return the batch without images and padding; its other arrays remain valid."""
+        """Return the batch without images and padding, to keep it when image memory is reused."""
         count, frames = len(self.status), self.frames
         poses = frames.T_world_camera
         known = {name: _rows(getattr(frames, name), count) for name in _PER_FRAME}
@@ -100,7 +100,7 @@ class Batch(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence["Batch"]) -> "Batch":
-        """Concatenate one or more batches of a log, from :meth:`without_images`."""
+        """Concatenate one or more batches without images, see :meth:`without_images`."""
         frames = [part.frames for part in parts]
         names = (*_PER_FRAME, "T_world_camera")
         known = {name: _joined([getattr(item, name) for item in frames]) for name in names}

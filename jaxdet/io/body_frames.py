@@ -1,9 +1,9 @@
 """Images in a body frame (x forward) instead of an optical frame (z forward, REP 103).
 
-Drivers in Gazebo and Webots report such frames. Between two cameras they are recognised by the
-rotation, as nobody mounts two cameras with the rotation between body and optical axes. On a robot
-they are recognised by the depth images, which show a floor with the optical rotation but not
-without it.
+Drivers in Gazebo and Webots report such frames. A body frame is recognised by the rotation between
+two cameras, as nobody mounts two cameras with the rotation between body and optical axes. If the
+pose of a camera is known, its body frame is also recognised by the depth images: they show a floor
+only if the rotation to optical axes is added.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,13 +28,13 @@ _NEAR_RAD = 0.26
 _LOOKS = 8
 """Number of frames in which a floor is searched."""
 _STEEP = 0.5
-"""Minimum vertical component of the optical axis, up or down, at which a mount is checked."""
+"""Minimum vertical component of the optical axis, up or down, at which depth is checked."""
 _LEAST = 0.05
-"""Minimum fraction of floor points."""
+"""Minimum fraction of floor points with the rotation to optical axes."""
 _MUCH_MORE = 5
-"""Minimum ratio of the number of floor points with the optical rotation to that without."""
+"""Minimum ratio of the number of floor points with this rotation to the number without."""
 _UNDER = 0.1
-"""Maximum fraction of points below the floor: noise and reflections."""
+"""Maximum fraction of points below the floor, due to noise and reflections."""
 _FLOOR_M, _FLOOR_SHARE = 0.03, 0.02
 """Tolerance of the height of floor points [m], and its increase per metre of depth."""
 _BELOW_M = 0.05
@@ -91,14 +91,14 @@ def optical_frame(tree: TransformTree, frame: str) -> str:
 def is_body_frame(
     num_frames: int, T_base: np.ndarray | None, read: Callable[[Sequence[int]], Frames]
 ) -> bool:
-    """Return whether the depth images show a floor with the optical rotation only.
+    """Return whether the depth images show a floor only with the rotation to optical axes.
 
     Frames are read only if the optical axis, without that rotation, points steeply up or down.
 
     Args:
         num_frames: Number of frames in the log.
-        T_base: Mount of the camera on the robot, ``(4, 4)`` float64; None: its poses in the world
-            are used instead.
+        T_base: Pose of the camera on the robot, ``(4, 4)`` float64; None: the poses of the camera
+            in the world are used instead.
         read: Function that reads the frames with the given numbers.
     """
     if not num_frames or (T_base is not None and abs(T_base[2, 2]) < _STEEP):

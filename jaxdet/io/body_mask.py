@@ -1,8 +1,8 @@
 """Masks of the robot's own body in the depth image.
 
-A mask is an image of the size of the depth images; depth counts as unmeasured where it is black.
-:class:`jaxdet.io.options.LogOptions` stores its pixels as text, so that results contain all of
-their inputs: ``WIDTHxHEIGHT:``, then the lengths of alternating runs of white and black pixels in
+A mask is an image of the size of the depth images; depth under black pixels counts as unmeasured.
+:class:`jaxdet.io.options.LogOptions` stores the mask as text, so that results contain all of their
+inputs: ``WIDTHxHEIGHT:``, then the lengths of alternating runs of white and black pixels in
 row order, starting with white.
 """
 
@@ -24,8 +24,8 @@ def masks_text(given: str) -> str:
     """Read the files of masks; return the masks as text.
 
     Args:
-        given: ``FILE``, or ``CAMERA=FILE`` per camera, separated by commas. A mask that is already
-            text, instead of a file, is kept.
+        given: ``FILE``, or ``CAMERA=FILE`` per camera, separated by commas. A mask that is text
+            instead of a file is returned unchanged.
 
     Raises:
         ConfigError: A file is missing or not a PNG, a camera occurs twice, or a text is invalid.
@@ -83,7 +83,7 @@ def hidden_pixels(
 
 
 def as_text(hidden: np.ndarray) -> str:
-    """Encode a mask ``(H, W)`` bool, True where it is black, as text."""
+    """Encode a mask ``(H, W)`` bool, True for black pixels, as text."""
     flat = hidden.ravel()
     ends = [*(np.flatnonzero(np.diff(flat)) + 1).tolist(), flat.size]
     starts = [0, *ends[:-1]]
@@ -93,7 +93,7 @@ def as_text(hidden: np.ndarray) -> str:
 
 
 def _hidden(text: str) -> np.ndarray:
-    """Decode a mask ``(H, W)`` bool from text, True where it is black."""
+    """Decode a mask ``(H, W)`` bool, True for black pixels, from text."""
     match = _AS_TEXT.fullmatch(text)
     width, height = (int(match[1]), int(match[2])) if match else (0, 0)
     runs = [int(run) for run in match[3].split(" ")] if match else []
@@ -107,7 +107,7 @@ def _hidden(text: str) -> np.ndarray:
 
 
 def _read(path: Path) -> np.ndarray:
-    """Read a mask ``(H, W)`` bool from a PNG file, True where it is black."""
+    """Read a mask ``(H, W)`` bool, True for black pixels, from a PNG file."""
     import cv2
 
     from jaxdet.io.png import read_png_head

@@ -31,11 +31,11 @@ _AS_FOLDERS = "as in TUM's and Open3D's folders"
 _ONE_LENS = 0.01
 """Maximum difference between camera matrices of the same lens, as a fraction of the image size."""
 _CROPPED = 1e-3
-"""Maximum relative deviation of the focal lengths of a cropped image from an integer multiple."""
+"""Relative tolerance for the integer ratio of focal lengths of a cropped and another image."""
 
 
 class Calibrated(NamedTuple):
-    """Calibration of a log, and how it was found."""
+    """Calibration of a log, with the sources of its parts."""
 
     calibration: Calibration
     unit_in_floats: float
@@ -43,19 +43,19 @@ class Calibrated(NamedTuple):
     camera_frame: str
     """TF frame of the depth camera; for aligned depth, that of the colour camera."""
     tf_frame: str
-    """TF frame that the images name for this camera, which may be a body frame."""
+    """TF frame of this camera, from the images or a flag; may be a body frame."""
     T_frame_camera: np.ndarray | None
-    """Transform ``(4, 4)`` float64 from the camera to ``tf_frame``; None if they are the same."""
+    """Transform ``(4, 4)`` float64 from ``camera_frame`` to ``tf_frame``; None if equal."""
     color_frame: str
     """TF frame of the colour images; empty if colour is not used."""
     has_color: bool
-    """Whether colour images have the pixels of ``calibration.image``."""
+    """Whether there are usable colour or grey images, with the pixels of ``calibration.image``."""
     has_color_camera: bool
     """Whether ``calibration.image`` is a colour camera."""
     color_problem: str
     """Why ``has_color`` is False, and the remedy; else empty."""
     color_error: CalibrationError | None
-    """Error in the calibration of the colour camera; None if it is usable or does not exist."""
+    """Error in the colour camera's calibration; None if the camera is usable or does not exist."""
     origins: tuple[str, ...]
     """Descriptions of the cameras and the depth unit with their sources, for users."""
     extrinsics_source: str
@@ -68,7 +68,7 @@ class Calibrated(NamedTuple):
 
     @property
     def used_for_depth(self) -> dict[str, CameraInfoMessage]:
-        """Calibration messages without which frames are unusable, by topic."""
+        """Calibration messages of depth, by topic; frames with another calibration are unusable."""
         return {name: info for name, info in self.used.items() if name == self.of_depth}
 
 
@@ -97,8 +97,8 @@ def calibrate(
     that of the depth topic. If the colour camera has no calibration or extrinsics, its images are
     not used; this is an error only if options for its calibration are set.
 
-    The frame of the depth images is a body frame if they show that (``is_body``), or if the
-    extrinsics do.
+    The frame of the depth images is taken as a body frame if the images show that (``is_body``) or
+    if the extrinsics show it.
 
     Raises:
         CalibrationError: A part of the calibration of depth is missing, unknown or contradicts
@@ -110,7 +110,7 @@ def calibrate(
         camera = _source(contents, contents.streams[choice.color], False, options)
     unit, unit_source, recorded = _units(contents, options, stream)
     aligned, why = _aligned(depth, camera, choice, options)
-    if aligned and choice.infrared:  # infrared images have other pixels
+    if aligned and choice.infrared:  # aligned depth does not have their pixels
         camera = None
     source = _of_depth(contents, depth, camera, options) if aligned else depth
     found = find_intrinsics(source)
@@ -120,7 +120,7 @@ def calibrate(
         color = _aligned_color(depth, camera, source, found.intrinsics)
         if source is camera:
             warnings += _aligned_doubts(depth, found.intrinsics)
-        if why == _AS_FOLDERS and source.matrix is not None:  # calibrations of Open3D are exact
+        if why == _AS_FOLDERS and source.matrix is not None:  # a folder's calibration is exact
             text = f"depth is assumed to be aligned to colour, {why}; otherwise pass "
             warnings.append(f"{text}--log.depth-intrinsics and --log.color-from-depth")
     elif choice.infrared:
@@ -188,7 +188,7 @@ def _units(
 def _camera_frame(
     contents: LogContents, options: LogOptions, frame: str, turned: bool
 ) -> tuple[str, np.ndarray | None]:
-    """Return the name of the optical frame, and its transform to a body frame ``frame``."""
+    """Return the optical frame's name, and its transform to ``frame`` if that is a body frame."""
     if not turned or options.camera_frame:
         return frame, None
     return optical_frame(contents.tree, frame) or f"{frame}_optical", T_BODY_OPTICAL
@@ -234,7 +234,7 @@ def _without_images(
 def _aligned_color(
     depth: CameraSource, color: CameraSource | None, source: CameraSource, camera: Intrinsics
 ) -> _Color:
-    """Return the calibration of colour images to which depth is aligned; their sizes may differ.
+    """Return the calibration of colour images to which depth is aligned; the sizes may differ.
 
     The depth images have the intrinsics ``camera``, from ``source``.
     """
@@ -302,7 +302,7 @@ def _without_color(choice: Choice, color: _Color) -> tuple[str, str]:
 
 
 def _same_pixels(depth: CameraSource, infrared: CameraSource, camera: Intrinsics) -> bool:
-    """Return whether infrared images have the pixels of depth: same size, and matrix or frame."""
+    """Return whether infrared and depth have the same size, and camera matrix or TF frame."""
     if infrared.size not in (None, (camera.width, camera.height)):
         return False
     if infrared.info is None:
@@ -395,7 +395,7 @@ def _one_lens(color: Intrinsics, depth: Intrinsics) -> bool:
 
 
 def _aligned_doubts(depth: CameraSource, color: Intrinsics) -> list[str]:
-    """Return a warning if aligned depth has another camera matrix (K, or P if rectified)."""
+    """Return a warning if the matrices of aligned depth (K, P if rectified) differ from colour."""
     if depth.info is None or depth.matrix is not None:
         return []
     own = []
@@ -436,7 +436,7 @@ def _source(
 def _info_topic(
     contents: LogContents, stream: ImageStream, depth: bool, override: str | None
 ) -> str:
-    """Return the calibration topic: set by flag, or next to the images, or with their TF frame."""
+    """Return the calibration topic: from a flag, else next to the images, else in their frame."""
     known = contents.calibrations
     if override:
         if override not in known:

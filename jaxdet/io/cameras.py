@@ -15,12 +15,12 @@ _OF_ONE += ("camera_frame",)
 
 
 class Cameras(NamedTuple):
-    """Cameras of a log by name, in order."""
+    """Cameras of a log, by name in alphabetical order."""
 
     complete: Mapping[str, Choice]
-    """Cameras with depth images and their calibration."""
+    """Topics of the usable cameras; the calibration of a log's only camera was not checked."""
     incomplete: Mapping[str, TopicError | CalibrationError]
-    """Errors of the other cameras; empty if there is only one camera."""
+    """Errors of the unusable cameras; empty if the log has only one camera."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -28,11 +28,12 @@ class Cameras(NamedTuple):
         return tuple(sorted({**self.complete, **self.incomplete}))
 
     def chosen(self, options: LogOptions, path: str) -> Choice:
-        """Return the camera selected by the user, or the only usable one.
+        """Return the topics of the camera selected by the user, or of the only usable one.
 
         Raises:
-            CamerasError: There are several cameras.
-            TopicError: There is no camera of this name, or several of its topics qualify.
+            CamerasError: There are several cameras, and none is selected.
+            TopicError: The camera does not exist or has several possible depth topics, or a flag
+                applies to one of several cameras.
             CalibrationError: The camera has no valid calibration.
         """
         wanted = options.camera or "".join(list(self.complete or self.incomplete)[:1])
@@ -74,7 +75,7 @@ def find_cameras(contents: LogContents, options: LogOptions) -> Cameras:
     """Find the cameras of a log; if there are several, check their calibrations.
 
     Raises:
-        TopicError: The only camera has no depth topic, or several that qualify.
+        TopicError: The log has no depth topic, or several possible ones of its only camera.
     """
     complete: dict[str, Choice] = {}
     incomplete: dict[str, TopicError | CalibrationError] = {}

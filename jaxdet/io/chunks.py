@@ -1,7 +1,7 @@
 """Chunks of an MCAP file: decompression with a size limit, and the records inside.
 
-``mcap``'s own chunk reader trusts declared sizes, and returns incomplete data for a message that
-exceeds its chunk. Here every length is checked before use.
+The chunk reader of the package ``mcap`` trusts declared sizes, and returns incomplete data for a
+message that exceeds its chunk. Here every length is checked before use.
 """
 
 import struct
@@ -26,7 +26,7 @@ PAYLOAD_OFFSET = RECORD_HEAD.size + MESSAGE_HEAD.size
 """Offset of a message's payload from the start of its record [byte]."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
 HEAD_BYTES = 128
-"""Number of bytes of a chunk record's content that contain its header."""
+"""Number of bytes at the start of a chunk record's content that contain its header."""
 MAX_TIME_NS = (1 << 63) - 1
 """Maximum log time [ns]; later times are clipped to it."""
 
@@ -116,7 +116,7 @@ def decompress(head: ChunkHead, data: bytes | memoryview) -> bytes | memoryview:
 
 
 def decompress_begin(head: ChunkHead, data: bytes, size: int) -> bytes:
-    """Decompress up to ``size`` bytes of a chunk's records, unchecked; data may be truncated."""
+    """Decompress at most the first ``size`` bytes of a chunk, unchecked; data may be truncated."""
     with suppress(zstandard.ZstdError, RuntimeError, EOFError):
         if head.compression == "zstd":
             return zstandard.ZstdDecompressor().stream_reader(data).read(size)

@@ -24,13 +24,13 @@ images that were delayed, odometry that was computed late, or future-dated trans
 _LATENCY_S = 0.2
 """Difference of delays [s] that exposure, processing and transport of images explain."""
 _SIGMAS, _SIGMA_OF_MAD, _ERROR_OF_MEDIAN = 3, 1.4826, 1.2533
-"""Standard errors from which on a difference is significant; standard deviation of a normal
-distribution by its median absolute deviation; standard error of the median of n values, in standard
-deviations by the square root of n."""
+"""Number of standard errors above which a difference is significant; ratio of standard deviation
+and median absolute deviation of a normal distribution; ratio of the standard errors of its median
+and mean."""
 _STEADY = 0.2
-"""Maximum deviation of single delays from their median, as a fraction of the offset."""
+"""Maximum median absolute deviation of delays, as a fraction of the offset between clocks."""
 _FEW_DELAYS = 5
-"""Number of delays below which their spread is not known."""
+"""Minimum number of delays from which their spread is estimated."""
 _AGREE_NS = 2_000_000
 """Tolerance for timestamps of the same exposure [ns]."""
 _YEAR_NS = 365 * 24 * 3600 * 1_000_000_000
@@ -43,7 +43,7 @@ class _Difference(NamedTuple):
     error_ns: float
     """Standard error of the difference, from the spread of the single delays."""
     num_delays: int
-    """Number of delays of the topic that has fewer."""
+    """Number of delays of the topic with fewer delays."""
     is_steady: bool
     """Whether single delays deviate little from their median, compared with the difference."""
 
@@ -71,9 +71,9 @@ def color_offset(
 ) -> Offset:
     """Return the offset of the timestamps of colour relative to depth.
 
-    If the timestamps of both agree, different log times don't matter: one topic was written later.
-    If the clock of depth was adjusted during the recording, there is no constant offset: the last
-    depth image has another delay (timestamp minus log time) than the first ones.
+    The offset is 0 if the timestamps of both agree: if log times differ, one topic was only written
+    later. The offset is also 0 if the clock of depth was adjusted during the recording, i.e. if the
+    last depth image has another delay (timestamp minus log time) than the first ones.
     """
     if options.color_offset_s is not None:
         return Offset(round(options.color_offset_s * 1e9))
@@ -97,7 +97,7 @@ def pose_offset(
     only reported: log times don't show whether a clock is wrong or poses were computed late.
 
     ``sources`` has topic and TF frame of each moving transform, or a pose topic and an empty frame.
-    There is no offset if any of them has the clock of depth; the others may be future-dated.
+    The offset is 0 if a source may have the clock of depth; other sources may be future-dated.
     """
     if options.pose_offset_s is not None:
         return Offset(round(options.pose_offset_s * 1e9))
@@ -168,7 +168,7 @@ def _delays(stream: ImageStream) -> np.ndarray:
 
 
 def _difference(first: np.ndarray, second: np.ndarray) -> _Difference:
-    """Compare the delays of two topics ``(N,)`` and ``(M,)`` int64 [ns]; they may be empty."""
+    """Compare the delays of two topics, ``(N,)`` and ``(M,)`` int64 [ns], which may be empty."""
     if not len(first) or not len(second):
         return _Difference(0, 0.0, 0, is_steady=False)
     middles = [int(np.median(delays)) for delays in (first, second)]

@@ -44,11 +44,11 @@ _RVL_ERRORS = (
 MIN_CONFIDENCE = 1
 _CONFIDENCE = "; confidence at "
 ROTATED = "; rotated left by 3 bits"
-"""Suffix of ``format`` for depth whose three highest bits are its lowest ones."""
+"""Suffix of ``format`` for 16-bit depth whose bits are stored rotated left by three."""
 
 
 def with_confidence(place: int) -> str:
-    """Return the suffix of ``format`` for data with confidences from this byte offset on."""
+    """Return the suffix of ``format`` for data whose confidences start at byte ``place``."""
     return f"{_CONFIDENCE}{place}"
 
 
@@ -197,9 +197,9 @@ def decode_rvl(data: bytes | memoryview, row: np.ndarray) -> None:
     """Decode an RVL stream (A. Wilson, *Fast Lossless Depth Image Compression*, ISS 2017).
 
     The stream consists of little-endian 32-bit words of eight nibbles, the most significant first.
-    Numbers have three bits per nibble, lowest first, and the top bit of a nibble is set if more
-    follow. They repeat: a count of zero pixels, a count of non-zero pixels, and for each of the
-    latter the difference from the previous non-zero pixel, with the sign in the lowest bit. A
+    Numbers have three bits per nibble, lowest first; the top bit of a nibble is set if the number
+    continues. The stream repeats: a count of zero pixels, a count of non-zero pixels, and for each
+    of the latter the difference from the previous non-zero pixel, its sign in the lowest bit. A
     number has at most 11 nibbles, and two counts fill at least one pixel, so a stream needs at most
     33 nibbles per pixel.
 
@@ -235,7 +235,7 @@ def _decode_masked(data: memoryview, place_text: str, row: np.ndarray) -> None:
 def _inverse_depths(a: float, b: float, unit_m: float) -> np.ndarray:
     """Return the depth of each 16-bit code ``q``, ``(65536,)`` uint16 [depth units].
 
-    It is ``A / (q - B)`` [m], computed in float32; 0 for code 0.
+    The depth is ``A / (q - B)`` [m], computed in float32, and 0 for code 0.
     """
     codes, units = np.arange(1 << 16), np.empty((1, 1 << 16), np.uint16)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

@@ -35,7 +35,7 @@ _PASSING = errno.EIO, errno.ETIMEDOUT
 _WAITS_S = 0.1, 0.5, 2.0
 """Pauses before a failed read is retried [s]."""
 _PATIENCE_S = 30.0
-"""Maximum total time of these pauses per file [s]; a damaged disk may fail in many parts of it."""
+"""Maximum total time of these pauses per file [s], as a disk may be damaged in many places."""
 
 
 class FileState(NamedTuple):
@@ -53,7 +53,7 @@ class FileState(NamedTuple):
 
 
 class LogFile(ABC):
-    """An open file. Threads may share it, since reads do not move its position.
+    """An open file. Threads may share it, since each read passes its own position.
 
     Args:
         path: File.
@@ -61,7 +61,7 @@ class LogFile(ABC):
         state: State that the file must have; by default its current state.
 
     Attributes:
-        named: Path for messages, of the compressed file if ``path`` is its decompressed copy.
+        named: Path shown to users; that of the compressed file if ``path`` is a decompressed copy.
 
     Raises:
         InputError: The file can't be opened, or its format or state is not the expected one.
@@ -70,7 +70,7 @@ class LogFile(ABC):
     magic: bytes
     """Magic bytes at the start of the file."""
     kind: str
-    """Name of the format, for messages."""
+    """Name of the format, for errors."""
     note: str = ""
     """Warning about the contents; empty if there is none."""
     memory: ReadMemory = ReadMemory()
@@ -169,7 +169,7 @@ class LogFile(ABC):
     def rebuild_index(self) -> FileIndex:
         """Build an index of all readable messages by reading the complete file.
 
-        Formats without a way to do so return their own index, whose messages may be unreadable.
+        A file that can't be scanned returns its own index, whose messages may be unreadable.
 
         Raises:
             InputError: The file was changed meanwhile, or has an impossible number of messages.
@@ -178,10 +178,10 @@ class LogFile(ABC):
         return found._replace(integrity=found.integrity._replace(by_index=False))
 
     def by_index(self, use: Callable[[FileIndex], T]) -> T:
-        """Return the result of a function of the file's index.
+        """Call a function with the file's index, and return the function's result.
 
-        If the index is damaged, or a chunk that the function reads by it, the function is called
-        with a rebuilt index.
+        If the index is damaged, or a chunk that the function reads, the function is called with a
+        rebuilt index.
 
         Raises:
             DamageError: The function raises it for the rebuilt index too.
@@ -209,14 +209,14 @@ class LogFile(ABC):
         """
 
     def chunk_begin(self, position: int, size: int) -> bytes:
-        """Return up to ``size`` bytes of a compressed chunk's records, unchecked.
+        """Return at most the first ``size`` bytes of a compressed chunk's records, unchecked.
 
         The result is empty if decompressing the complete chunk takes about as long.
         """
         return b""
 
     def name_of(self, position: int) -> str:
-        """Return the file name of the image in the chunk; empty if it has no separate file."""
+        """Return the file name of the image in the chunk; empty if it is not an image file."""
         return ""
 
     def read(self, position: int, size: int) -> bytes:
@@ -298,8 +298,8 @@ class MessageRow(NamedTuple):
 class MessageFile(LogFile):
     """A file with separately accessible messages, such as rows of a table.
 
-    Each message is a chunk that consists of a single MCAP record: a header, then the payload. Its
-    position is the number of the message.
+    Each message is a chunk that consists of a single MCAP record: a header, then the payload. The
+    position of the chunk is the number of the message.
     """
 
     @abstractmethod

@@ -1,6 +1,6 @@
 """Contents of a log from its messages: the first images of each topic, and all small messages.
 
-A transform or pose takes 64 bytes; pixels are not stored.
+A transform or pose takes 64 bytes of memory; pixels are not stored.
 """
 
 from contextlib import suppress
@@ -31,7 +31,7 @@ from jaxdet.io.transforms import TransformTree
 from jaxdet.io.validity import CalibrationChange, values_of
 
 FIRST_MOTIONS = 64
-"""Minimum number of messages read per topic with transforms or poses."""
+"""Minimum number of messages read at opening per topic with transforms or poses."""
 DEPTH_UNIT_TOPIC = "/option/Depth Units/value"
 """Last part of the topic in which librealsense's recorder stores the metres per depth unit."""
 
@@ -119,7 +119,7 @@ class Delays:
 
 
 class LogContents:
-    """Contents of a log, without the pixels of its images; errors name its ``path``."""
+    """Contents of a log, without the pixels of its images; ``path`` is for errors."""
 
     def __init__(self, path: str) -> None:
         self.path = path
@@ -168,8 +168,8 @@ class ContentsBuilder:
     Args:
         contents: Contents to add to.
         use_tf: Whether transforms are used.
-        images: Whether images are recorded and topics counted. Off for the sibling files of a log,
-            of which only calibration and static transforms are used.
+        images: Whether images are added and messages counted; False for other splits of the
+            recording, from which only calibrations and static transforms are read.
     """
 
     def __init__(self, contents: LogContents, use_tf: bool, images: bool = True) -> None:
@@ -210,7 +210,7 @@ class ContentsBuilder:
             self.contents.topics[topic].add_undecodable(error.problem)
 
     def is_probe(self, decoder: MessageDecoder) -> bool:
-        """Return whether the next image of a topic is decoded: its first images, RGBD messages."""
+        """Return whether to decode a topic's next image: one of the first, or an RGBD message."""
         stream = self.contents.streams.get(decoder.channel.topic)
         return decoder.kind is Kind.RGBD or stream is None or len(stream.probes) < NUM_PROBES
 

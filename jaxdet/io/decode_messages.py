@@ -1,6 +1,6 @@
 """Decoding of CDR, ROS 1, protobuf and JSON into the messages of :mod:`jaxdet.io.messages`.
 
-Messages are decoded by the schema in the log, never by fixed offsets.
+Messages are decoded by the schema in the log; offsets are fixed only if the schema ensures them.
 """
 
 import json
@@ -44,7 +44,7 @@ from jaxdet.io.messages import (
 from jaxdet.io.raw_messages import read_motions
 
 _STAMP_BYTES = 12
-"""Number of bytes that contain a leading timestamp."""
+"""Number of bytes up to the end of a leading timestamp."""
 _ZSTD = b"\x28\xb5\x2f\xfd"
 """First bytes of a message compressed by rosbag2 (``compression_mode: message``)."""
 _IN_PLACE = (Kind.TRANSFORM, Kind.ODOMETRY)
@@ -116,8 +116,8 @@ class MessageDecoder:
     def reads_stamp(self, head: bytes | memoryview) -> bool:
         """Return whether the header timestamp is within the first bytes of a message.
 
-        In CDR it follows the 4-byte encapsulation header, which contains the byte order. In ROS 1
-        it follows the header's sequence number and is little-endian.
+        In CDR, the timestamp follows the 4-byte encapsulation header, which contains the byte
+        order. In ROS 1, it follows the header's sequence number and is little-endian.
         """
         if not self.stamp_leads or len(head) < _STAMP_BYTES:
             return False
@@ -169,7 +169,7 @@ class MessageDecoder:
 
 
 class _Payload(np.ndarray):
-    """CDR buffer for ``mcap_ros2``, which slices byte arrays; its slices are views."""
+    """CDR buffer for ``mcap_ros2`` whose slices are views; those of ``bytes`` would be copies."""
 
     def decode(self, encoding: str) -> str:
         """Decode the text in a slice, like ``bytes.decode``."""
@@ -206,8 +206,7 @@ def _raw_decoder(
 
             decode = ProtobufFactory().decoder_for(message_encoding, schema)
         elif message_encoding == "cdr":
-            # mcap_ros2 prints definitions that it can't parse; the exception contains the same
-            # text.
+            # mcap_ros2 prints definitions that it can't parse, and raises an exception with them.
             with redirect_stderr(StringIO()), redirect_stdout(StringIO()):
                 decode = Ros2Factory().decoder_for(message_encoding, schema)
     except Exception as error:  # parsers may raise any exception
@@ -225,8 +224,7 @@ def _ros1_decoder(name: str, definition: str) -> Callable[[bytes], Any]:
 
     Args:
         name: Name of the type.
-        definition: Fields of the type, followed by the definitions of its member types, as in ROS
-            1.
+        definition: Fields of the type, then the definitions of its member types, as in ROS 1.
 
     Raises:
         ImportError: ``rosbags`` is not installed.

@@ -62,13 +62,13 @@ DEFINITIONS = {
     "sensor_msgs/CameraInfo rgb_camera_info\nsensor_msgs/CameraInfo depth_camera_info\n"
     "sensor_msgs/Image rgb\nsensor_msgs/Image depth",
 }
-"""Fields by type, one per line: ROS 2 Jazzy's common_interfaces and geometry2, vision_msgs and
-realsense-ros."""
+"""Fields of each type, one per line, from common_interfaces and geometry2 of ROS 2 Jazzy,
+vision_msgs and realsense-ros."""
 _LEADING: dict[str, dict[str, tuple[str, ...]]] = {
     "cdr": {"Header": ("Time stamp",), "Time": ("int32 sec", "uint32 nanosec")},
     "ros1": {"Header": ("uint32 seq", "time stamp")},
 }
-"""First fields of a header, and of a timestamp if its type is declared, by encoding."""
+"""First fields of the types Header and Time by encoding; Time need not be in a definition."""
 
 
 @cache
@@ -140,7 +140,7 @@ def fields_of(text: str) -> dict[str, tuple[str, ...]]:
 def with_definition(channel: ChannelInfo) -> ChannelInfo:
     """Return a channel with the standard definition of ROS 2 if the log has none for its type.
 
-    The recorder omits definitions that it does not find, and all of them before ROS 2 Iron.
+    rosbag2 omits definitions that it does not find, and before ROS 2 Iron all definitions.
     """
     name = plain_schema_name(channel.schema_name)
     given = channel.schema_data or channel.schema_size

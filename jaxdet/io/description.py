@@ -13,12 +13,12 @@ from jaxdet.io.timeline import Notes
 from jaxdet.io.windows import IndexedFrames
 
 _SLOW_S = 0.05
-"""Distance of the nearest colour image above which it is reported [s]."""
+"""Time between a frame and its colour image above which the pairing is reported [s]."""
 _FEW = 0.1
-"""Fraction of frames without a pose above which it is reported."""
+"""Fraction of frames without a pose above which their number is reported."""
 _TWO_CLOCKS_S = 0.5
-"""Minimum difference between recording interval and timestamp interval that suggests two clocks
-[s]."""
+"""Difference of log times minus difference of timestamps, of a frame and its colour image, above
+which two clocks are suspected [s]."""
 
 
 class TopicDescription(NamedTuple):
@@ -96,7 +96,7 @@ class LogDescription(NamedTuple):
     pairing: PairingDescription | None
     """Pairing of colour with depth; None if the log was opened by its index."""
     integrity: tuple[FileIntegrity, ...]
-    """Integrity of each file; its ``text`` is a line."""
+    """Integrity of each file, with a summary ``text`` in one line."""
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     """Remarks that need no action."""
@@ -136,7 +136,7 @@ def describe(
 def complete(
     about: LogDescription, notes: Notes, tolerance_s: float, *, has_poses: bool
 ) -> LogDescription:
-    """Add the results of reading all frames to the description at the opening of a log.
+    """Add the results of reading all frames to the description from the opening of a log.
 
     ``tolerance_s`` is the tolerance of the pairing [s], and ``has_poses`` whether the log has poses
     at any time.

@@ -19,7 +19,7 @@ _AGREE_M, _AGREE_RAD = 0.001, 0.002
 
 
 class FoundExtrinsics(NamedTuple):
-    """``T_color_depth``, with its source and contradictions."""
+    """``T_color_depth``, with its source and warnings about contradictory sources."""
 
     extrinsics: Extrinsics
     origin: str
@@ -40,12 +40,12 @@ def find_extrinsics(
     """Return ``T_color_depth``: from the flag, else equal frames, the extrinsics topic, or TF.
 
     The result is the identity if both images are in the same TF frame and from the same lens
-    (``one_lens``: their camera matrices are equal, apart from the image size), regardless of any
+    (``one_lens``: their camera matrices differ only by scaling or cropping), regardless of any
     topic. The lenses are compared because some drivers use the same frame for all cameras. A
     difference between topic and TF is a warning. Without any source there is an error: the identity
     is not a default.
 
-    The frame of depth may be known to be a body frame (``depth_is_body``), see
+    Set ``depth_is_body`` if the frame of depth is a body frame, see
     :mod:`jaxdet.io.body_frames`.
 
     Raises:
@@ -127,7 +127,7 @@ def _between_streams(
 
 
 def _contradiction(T: np.ndarray, tf: np.ndarray | None, topic: str) -> tuple[str, ...]:
-    if tf is None or not np.isfinite(T).all():  # such values are reported as an error later
+    if tf is None or not np.isfinite(T).all():  # the check of the calibration reports these
         return ()
     metres, radians = difference(T, tf)
     if metres <= _AGREE_M and radians <= _AGREE_RAD:

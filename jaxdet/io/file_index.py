@@ -44,8 +44,8 @@ class FileIntegrity(NamedTuple):
     summary_problem: str = ""
     """Reason why the file has no readable summary; empty if it has one."""
     by_index: bool = False
-    """Whether the messages are from the file's own index, not from a scan. Then chunks are checked
-    when frames are read from them."""
+    """Whether the messages are from the file's own index, not from a scan. In this case a chunk is
+    checked only when frames are read from it."""
 
     @property
     def recovered(self) -> bool:
@@ -113,7 +113,7 @@ class IndexedMessages(NamedTuple):
     file: np.ndarray
     """Number of the file in the log; 0 in the index of a file."""
     decoder: np.ndarray
-    """Position of the decoder in the log's list; always 0 if the index is of a single file."""
+    """Number of the decoder in a topic's or the log's list; 0 in the index of a file."""
 
     @classmethod
     def joined(cls, parts: Sequence["IndexedMessages"]) -> "IndexedMessages":
@@ -169,7 +169,7 @@ def file_index(
     Args:
         infos: Channels of the file.
         messages: ``(4, N)`` int64, the first four fields of :class:`IndexedMessages`, in any order.
-            Those of unused channels are counted and dropped.
+            Messages of unused channels are counted and dropped.
         integrity: Integrity of the file. Message counts are added if the messages are from the
             file's own index.
 

@@ -22,9 +22,9 @@ such as ``.mcap.zst``."""
 _SPLIT = re.compile(
     r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
 )
-"""Numbers with more digits that do not start with two zeros are times or dates."""
+"""Name of a split. Numbers of six and more digits are dates or times unless they start with 00."""
 _BEGIN = re.compile(r"(?:^|_)\d{4}(?:-\d\d){5}$")
-"""Time in the name of a split of ROS 1, at which the file begins."""
+"""Time at which a split of ROS 1 begins, in its name before the number."""
 _OTHERS = {
     ".zstd": "rename the recording to NAME.mcap.zstd",
     ".zst": "rename the recording to NAME.mcap.zst",
@@ -166,7 +166,7 @@ class _Named(NamedTuple):
 def _once(found: Iterable[Path]) -> dict[Path, _Named]:
     """Return each file once, by its ``place``; links to a file that was found are dropped.
 
-    Links of files are not resolved for names, as caches of data sets link to files named by a hash.
+    Names are those of the links, as caches of data sets link to files named by a hash.
     """
     folders: dict[Path, Path] = {}
     named = []
@@ -244,7 +244,7 @@ def _seen(text: str, skipped: list[Path]) -> list[Path]:
 
 
 def _files(text: str) -> tuple[list[Path], str]:
-    """Return the readable files of an input, at least one, and which others are left out."""
+    """Return the readable files of an input, at least one, and a note on files left out."""
     if Path(text).name == "metadata.yaml" and Path(text).is_file():
         text = str(Path(text).parent)  # metadata.yaml of rosbag2 names the files in its folder
     path, seen, rest, above = Path(text), list[Path](), list[Path](), list[Path]()
@@ -367,7 +367,7 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
 
     If a recording exists in several formats, only the file with the preferred one is read. A split
     is read nevertheless if the preferred format has only splits with other numbers and times: the
-    recording may be partly converted, or it may be a different recording.
+    recording may be partly converted, or the split may belong to a different recording.
     """
     known: dict[tuple[Path, str], dict[str, list[Path]]] = {}
     for file in found:

@@ -22,11 +22,11 @@ from jaxdet.io.windows import IndexedFrames
 _POSE_SAMPLE = 8
 """Number of frames sampled to estimate how many have a pose."""
 _ENOUGH = 0.5
-"""Fraction of known poses above which a world frame is used without trying the next one."""
+"""Fraction of frames with a pose from which on a source is used without trying the next one."""
 
 
 class Findings(NamedTuple):
-    """Topics, calibration, floor, poses and frames of a log."""
+    """Topics, calibration, base frame, poses and frames of a log."""
 
     cameras: Cameras
     choice: Choice
@@ -42,11 +42,11 @@ class Findings(NamedTuple):
 def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Findings:
     """Determine the topics, calibration, poses and frames of a log.
 
-    The depth images may show that their frame is a body frame (``is_body``).
+    Set ``is_body`` if the depth images show that their frame is a body frame.
 
     Raises:
         CamerasError: There are several cameras.
-        TopicError: None or several topics can be depth, or the camera does not exist.
+        TopicError: No topic or several can be depth, or the camera does not exist.
         CalibrationError: A part of the calibration is missing, unknown or contradictory.
         RescanError: The first messages show that all messages must be read.
         DamageError: The file contradicts its index.
@@ -169,9 +169,9 @@ def _find_poses(
     options: LogOptions,
     frames: IndexedFrames,
 ) -> tuple[Base, PoseSource]:
-    """Return floor and poses of the depth camera.
+    """Return the base frame and the poses of the depth camera.
 
-    If TF lacks the frame of the depth camera, they follow from that of the colour camera.
+    If TF lacks the depth camera's frame, the colour camera's frame and the extrinsics are used.
     """
     frame, T_frame_camera = calibrated.tf_frame, calibrated.T_frame_camera
     motion, known = calibrated.calibration.color_from_depth, contents.tree.frames
@@ -191,7 +191,7 @@ def _find_poses(
         offset = pose_offset(contents, options, choice, topics)
         warnings = (*source.warnings, *filter(None, [offset.text]))
         found = source._replace(offset_ns=offset.ns, warnings=warnings)
-        # If a clock was adjusted during the recording, fewer poses are known with the offset.
+        # If a clock was adjusted during the recording, fewer frames have a pose with the offset.
         is_measured = offset.ns and offset.text
         return source if is_measured and share_known(source) > share_known(found) else found
 
@@ -216,8 +216,8 @@ def _find_poses(
 def _share_known(frames: IndexedFrames, is_complete: bool) -> float:
     """Return the fraction of sampled frames whose pose is known, 0 to 1.
 
-    If no sampled frame has a pose, the fraction of all frames is returned, reduced so that any
-    source with poses in its sample is preferred.
+    If no sampled frame has a pose, the fraction of all frames is returned, divided by 100, so that
+    any source with poses in its sample is preferred.
 
     Raises:
         RescanError: No sampled frame has a pose, and not all messages were read.
@@ -233,10 +233,10 @@ def _share_known(frames: IndexedFrames, is_complete: bool) -> float:
 
 
 def check_sampled(log: IndexedLog, error: JaxdetError) -> None:
-    """Check that unread messages could not change an error.
+    """Check that an error would remain if all messages were read.
 
     Raises:
-        RescanError: Unread messages could change it.
+        RescanError: The error may be due to unread messages.
     """
     if not log.is_complete and (not log.motions.whole or _is_of_first(log, error)):
         problem = f"not found in a sample of messages: {error.problem}"

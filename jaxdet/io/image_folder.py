@@ -155,7 +155,7 @@ class ImageFolder(MessageFile):
 
 
 def _state(folder: Path) -> FileState:
-    """Return the state of a folder, with the latest modification of it and its subfolders."""
+    """Return the state of a folder, with the latest change of the folder or its subfolders."""
     about = os.stat(folder)
     parts = [os.stat(part) for part in sorted(folder.iterdir()) if part.is_dir()]
     latest = max(item.st_mtime_ns for item in (about, *parts))

@@ -1,7 +1,8 @@
 """Opening of a log by the indexes of its files.
 
-Only the first images are read, and a sample of message types with many messages. If this is not
-sufficient, a RescanError is raised; the caller then reads all timestamps and all small messages.
+Only the first images and calibrations are read, and all transforms and poses or a sample of them.
+If this is not sufficient, a RescanError is raised; the caller then reads all timestamps and all
+small messages.
 """
 
 from collections import Counter
@@ -27,10 +28,10 @@ from jaxdet.io.windows import StreamWindows
 
 _MOTIONS = (Kind.TRANSFORM, Kind.ODOMETRY, Kind.POSE)
 _MAX_MOTIONS = 1000
-"""Number of transforms and poses up to which all are read at opening; of more, a sample is read."""
+"""Maximum number of transforms and poses to read all at opening; of more, a sample is read."""
 _MOTION_SAMPLE = 192
 _STATIC = 256
-"""Number of static transforms read at opening if there are many."""
+"""Number of static transforms read per topic at opening if there are too many to read all."""
 
 
 class IndexedLog(NamedTuple):
@@ -38,7 +39,7 @@ class IndexedLog(NamedTuple):
 
     contents: LogContents
     streams: dict[str, StreamWindows]
-    """Image topics."""
+    """Images by topic."""
     motions: MotionWindows
     calibrations: dict[str, TopicMessages]
     """Calibration messages by topic, in order of log time."""
@@ -115,7 +116,7 @@ def _read_first(
         whole: Whether to read all transforms and poses.
 
     Raises:
-        DamageError: A message is not where the index says.
+        DamageError: A message is not at its position in the index.
         RescanError: The first messages show that all messages must be read.
     """
     contents = builder.contents
@@ -155,7 +156,7 @@ def _read_all(
         try:
             problem = stream.read(rank) if stream else ""
             if stream is None or builder.is_probe(topic.decoder(number)):
-                problem = ""  # the same problem is found again
+                problem = ""  # _take finds and counts the same problem
                 _take(store, builder, topic, number)
         except DamageError as error:
             if trusted:
@@ -277,7 +278,7 @@ def _drop_repeated(streams: Iterable[StreamWindows], store: ChunkStore) -> list[
 
 
 def _first_ones(stream: StreamWindows, store: ChunkStore) -> np.ndarray:
-    """Return which images are not equal to an earlier one in the files, ``(N,)`` bool."""
+    """Return which images do not repeat an earlier one in file order, ``(N,)`` bool."""
     keys = np.stack([stream.stamp, stream.color_stamp, stream.size], axis=1)
     keep = np.ones(len(keys), bool)
     if not len(keys):

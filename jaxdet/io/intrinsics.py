@@ -42,7 +42,7 @@ class CameraSource(NamedTuple):
     size: ImageSize | None
     """Size of the images; None if no image could be decoded."""
     rectified: bool
-    """Whether the name of the image topic says that the images are rectified."""
+    """Whether the images are rectified, according to the name or the type of their topic."""
     matrix: tuple[float, float, float, float] | None
     """fx fy cx cy from a flag."""
     model: str | None
@@ -58,7 +58,7 @@ class CameraSource(NamedTuple):
 
     @property
     def camera(self) -> str:
-        """Name of the camera in messages."""
+        """Name of the camera in errors and warnings."""
         return {"color": "colour"}.get(self.name, self.name)
 
     def shares_frame(self, other: "CameraSource") -> bool:
@@ -81,8 +81,8 @@ class Found(NamedTuple):
 def find_intrinsics(source: CameraSource) -> Found:
     """Determine the intrinsics of a camera from flags and its calibration message.
 
-    Flags override the message. If the topic name says that images are rectified but the message has
-    distortion coefficients, the projection matrix P is used, without distortion.
+    Flags override the message. If the images are rectified but the message has distortion
+    coefficients, the projection matrix P is used, without distortion.
 
     Raises:
         CalibrationError: There is no calibration, it is implausible, its size differs from the
@@ -200,7 +200,7 @@ def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, 
 
 
 def _means_none(model: str, D: tuple[float, ...]) -> bool:
-    """Return whether there is no distortion; zero coefficients of equidistant lenses mean some."""
+    """Return whether a lens has no distortion; equidistant lenses have it even if D is all zero."""
     return not any(D) and (not D or _ALIASES.get(model, model) != Distortion.EQUIDISTANT)
 
 

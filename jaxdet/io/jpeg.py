@@ -11,7 +11,7 @@ MAGIC = b"\xff\xd8"
 MOST_SCANS = 64
 """Maximum number of scans. Encoders write up to 12, or one per component without interleaving."""
 _SAMPLE_BYTES, _FREE_BYTES = 4, 1 << 20
-"""Maximum file size: bytes per sample, which no code exceeds, plus a constant for text and
+"""Maximum file size: bytes per sample (the longest codes need less), plus a constant for text and
 previews."""
 _START_OF_SCAN = 0xDA
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}

@@ -1,7 +1,7 @@
 """Limits on the contents of files, checked before memory or time is spent on them.
 
 Files are not trusted: a few kilobytes can declare gigabytes of data, or hours of work. Each limit
-is far above the values in real recordings, which are given next to it, and low enough that a file
+is far above the values in real recordings, which its comment states, and low enough that a file
 within all limits is read in seconds with less than a gigabyte. Chunks and messages are limited by
 ``LogOptions.max_chunk_mib``, images by ``LogOptions.max_pixels``.
 """
@@ -53,7 +53,7 @@ class ReadMemory(NamedTuple):
     messages: int = 1 << 40
     """Memory for the index while a file is opened."""
     short: int = 0
-    """Memory that has to be added before chunks get a part of what is added."""
+    """Additional memory up to which ``chunk`` does not grow; of more, ``chunk`` gets a quarter."""
 
 
 def check_index(count: int, path: str, memory: ReadMemory) -> None:
@@ -91,7 +91,7 @@ def check_topics(count: int, path: str) -> None:
     """Check that a log has at most ``MAX_TOPICS`` topics.
 
     Raises:
-        InputError: There are more.
+        InputError: The log has more topics.
     """
     if count > MAX_TOPICS:
         problem = f"the log has at least {count} topics, more than the maximum of {MAX_TOPICS}"
@@ -99,7 +99,7 @@ def check_topics(count: int, path: str) -> None:
 
 
 def check_count(what: str, count: int, file_bytes: int, path: str, topic: str = "") -> None:
-    """Check that a file of this size can have so many messages.
+    """Check that files of this size can contain ``count`` messages.
 
     Args:
         what: Key of ``_FIT``.
@@ -109,7 +109,7 @@ def check_count(what: str, count: int, file_bytes: int, path: str, topic: str = 
         topic: Topic, for errors.
 
     Raises:
-        InputError: There are more.
+        InputError: There are more messages than the files can contain.
     """
     free, each = _FIT[what]
     most = free + file_bytes // each

@@ -33,7 +33,7 @@ _LINE_BYTES = 64
 _MESSAGE_BYTES = 96
 _MAX_AT_ONCE = 32
 _BYTES_AT_ONCE = 24 << 20
-"""Maximum size of images that are read together."""
+"""Maximum size of the images that are read together [byte]."""
 _LOOKED_AT = 256
 """Number of consecutive frames whose messages are looked up together, if no chunk needs to be
 decompressed for that."""
@@ -54,16 +54,16 @@ class Log:
     """A recorded log; open it with :func:`open_log`, and close it with ``with``.
 
     A log is read by the index of its files. The messages of frames are read with the frames, each
-    chunk once, and are checked. If these show that other messages should have been read at opening,
-    or the file is damaged, reading raises a RescanError. With ``LogOptions(scan=True)`` the index
+    chunk once, and are checked. If they show that more messages had to be read at opening, or that
+    a file is damaged, reading raises a RescanError. With ``LogOptions(scan=True)`` the index
     is rebuilt from all intact parts of the files, and all small messages and all timestamps are
     read at opening. The frames are the same.
 
     Memory: 80 bytes per image, 48 per pose or transform (64 more if all are read); 64 MiB of
     decompressed chunks, more if some ten frames need more; and the images of the current batch.
-    Only one thread may read at a time; it is helped by a thread pool of the log with one thread per
-    core. A log can be pickled: another process opens the files again, but does not read their
-    indexes, and has no threads.
+    Only one thread may read at a time; the log decodes in a thread pool with one thread per core. A
+    log can be pickled: another process opens the files again, but does not read their indexes, and
+    has no thread pool.
 
     A frame is a depth image. If colour is requested, a frame has the colour image with the nearest
     timestamp within the tolerance of the options. A missing or undecodable colour image does not
@@ -305,7 +305,7 @@ class Log:
             yield self._batch(some, batch_size, color, need_color, memory, known)
 
     def _together(self, numbers: range, batch_size: int) -> int:
-        """Return the number of frames to look up together, whole batches; 0: look up each batch."""
+        """Return how many frames to look up together (full batches); 0: look up each batch."""
         if len(numbers) <= batch_size or numbers.step != 1:
             return 0
         with suppress(DamageError):  # the window reports this error
@@ -316,7 +316,7 @@ class Log:
     def read(
         self, indices: Sequence[int], *, color: WhichColor = False, need_color: bool = False
     ) -> Batch:
-        """Read the frames with the given numbers, in the given order, without padding.
+        """Read frames by their numbers, in the order of ``indices``, without padding.
 
         Args:
             indices: Frame numbers.
@@ -336,7 +336,7 @@ class Log:
         return self._batch(indices, len(indices), _which_color(color), need_color)
 
     def without_images(self, indices: Sequence[int], status: FrameStatus, error: str) -> Batch:
-        """Return frames with timestamps, poses and the same status, without reading an image.
+        """Return frames with timestamps, poses and this status, without reading an image.
 
         Raises:
             RescanError: The log contradicts its index.
@@ -354,7 +354,7 @@ class Log:
         memory: np.ndarray | tuple[np.ndarray, np.ndarray | None] | None = None,
         known: tuple[int, Window] | None = None,
     ) -> Batch:
-        """Read frames; ``known`` is the window of the frames from a number on, if it was read."""
+        """Read frames; ``known``: a window with these frames, and the number of its first frame."""
         count = len(indices)
         wanted = np.array([color if isinstance(color, bool) else n in color for n in indices], bool)
         depths, colors = memory if isinstance(memory, tuple) else (memory, None)
@@ -451,7 +451,7 @@ def _which_color(color: WhichColor) -> WhichColor:
 
 
 def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:
-    """Yield ranges of at most ``most`` consecutive numbers as (index of the first, first, stop)."""
+    """Yield ranges of at most ``most`` consecutive numbers: index of the first, first, stop."""
     ends = [*(np.flatnonzero(np.diff(indices) != 1) + 1).tolist(), len(indices)]
     for begin, end in pairwise([0, *ends]):
         for row in range(begin, end, most):
@@ -460,7 +460,7 @@ def _runs(indices: Sequence[int], most: int) -> Iterator[tuple[int, int, int]]:
 
 
 def _colors_of(window: Window) -> np.ndarray:
-    """Return the timestamps of the colour images of a window's frames ``(n,)``, -1 = none."""
+    """Return the timestamps of the colour images of a window's frames, ``(n,)`` [ns], -1 = none."""
     table = window.color
     return np.full(len(window.depth.stamps_ns), -1, np.int64) if table is None else table.stamps_ns
 

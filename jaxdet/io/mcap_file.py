@@ -22,7 +22,7 @@ from jaxdet.io.mcap_scan import rebuild_mcap_index
 _BEGIN_BYTES = 192 << 10
 """Number of bytes of a compressed chunk that contain its first zstd block."""
 _LARGE_BYTES = 1 << 18
-"""Size from which on decompressing only the begin of a chunk saves time [byte]."""
+"""Size of a chunk from which on it saves time to decompress only its start [byte]."""
 _PACKED_BYTES = 16 << 20
 """Maximum size of a compressed chunk that is read into its thread's buffer."""
 _of_thread = local()

@@ -40,7 +40,7 @@ _KNOWN, _LAST = {*Opcode}, {Opcode.DATA_END, Opcode.FOOTER}
 reserved for applications."""
 _FOOTER = struct.Struct("<BQQQI")
 INDEX_HEAD = struct.Struct("<HI")
-"""Channel and size of the entries of a message index."""
+"""Channel of a message index, and size of its entries [byte]."""
 INDEX_ENTRY_BYTES = 16
 """Size of an entry: log time and offset in the chunk."""
 _CHUNK_BEGIN, _CHUNK_NAME = struct.Struct("<QQQ8xI"), struct.Struct("<8xI")
@@ -152,7 +152,7 @@ def read_summary(file: LogFile, at: int | None = None) -> Summary:
 
     Args:
         file: File.
-        at: Start of the summary; by default from the footer. If set, the CRC must be correct.
+        at: Start of the summary [byte]; default: from the footer. If set, the CRC must be right.
 
     Raises:
         DamageError: The file has no summary, or it can't be parsed.

@@ -1,10 +1,10 @@
 """Index of an MCAP file from its contents, tolerant of damage.
 
-The file is walked from the first record to the last, and all chunks are read. Damaged parts are
-dropped and counted, and their neighbours are used: a chunk with a wrong CRC, a message longer than
-its chunk, a truncated end. The summary is optional. If the length of a record is damaged, the walk
-continues at the next chunk listed in the summary. Chunks and messages that the summary or the
-message indexes list, but were not found, are reported as lost.
+The file is walked from the first record to the last, and all chunks are read. Damaged parts (a
+chunk with a wrong CRC, a message longer than its chunk, a truncated end) are dropped and counted;
+all other parts are used. The summary is optional. If the length of a record is damaged, the walk
+continues at the next chunk listed in the summary. Chunks and messages that are listed in the
+summary or the message indexes, but were not found, are reported as lost.
 """
 
 from bisect import bisect_right

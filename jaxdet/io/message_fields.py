@@ -165,12 +165,12 @@ def motion(
         ValueError: The translation is implausibly large, or the quaternion is not of unit length.
     """
     tx, ty, tz = map(float, translation)
-    if not all(abs(value) <= MAX_TRANSLATION_M for value in (tx, ty, tz)):  # also for NaN
+    if not all(abs(value) <= MAX_TRANSLATION_M for value in (tx, ty, tz)):  # also rejects NaN
         raise ValueError(f"translation ({tx:g}, {ty:g}, {tz:g}) m is implausible")
     given = tuple(map(float, rotation))
     bounded = all(abs(value) <= 2 for value in given)
     x, y, z, w = given if bounded else (math.inf,) * 4
-    square = x * x + y * y + z * z + w * w  # from Python 3.12 on, sum() uses compensated summation
+    square = x * x + y * y + z * z + w * w  # sum() rounds differently from Python 3.12 on
     if not abs(square - 1) <= UNIT_TOLERANCE:
         text = ", ".join(f"{value:g}" for value in given)
         raise ValueError(f"quaternion ({text}) is not of unit length")

@@ -48,7 +48,7 @@ _KINDS = {
 
 
 def plain_schema_name(name: str) -> str:
-    """Return a schema name without ``/msg/``; Foxglove's ROS package is mapped to Foxglove."""
+    """Return a schema name without ``/msg/``, with ``foxglove.`` for ``foxglove_msgs/``."""
     plain = name.replace("/msg/", "/")
     return plain.replace("foxglove_msgs/", "foxglove.", 1)
 
@@ -112,9 +112,9 @@ class CameraInfoMessage(NamedTuple):
 
         By definition width, height, K and P refer to the full sensor; the region of interest is cut
         out before binning (sensor_msgs/CameraInfo). Some drivers store the size of their images as
-        width and height, with K for this size. So it comes first and needs no correction. Images
-        with the size of a region are not accepted if they should be binned: the region may be in
-        pixels before or after binning.
+        width and height, with K for this size. So this size comes first and needs no correction.
+        Images with the size of the region are not accepted if there is binning: the region may be
+        in pixels before or after binning.
         """
         (bx, by), (x, y, width, height) = self.binning, self.roi
         if not (width and height):
@@ -135,12 +135,12 @@ class RgbdMessage(NamedTuple):
 
 
 class TransformMessage(NamedTuple):
-    """``T_parent_child`` at a time; also the pose of a robot (child in parent)."""
+    """Transform ``T_parent_child`` at a time, or pose of a robot (child) in a frame (parent)."""
 
     stamp_ns: int
     parent: str
     child: str
-    """TF frame of the pose; empty if the message does not contain it."""
+    """Child frame; empty if the message does not name it."""
     translation: tuple[float, float, float]
     """Translation x y z [m]."""
     rotation: tuple[float, float, float, float]

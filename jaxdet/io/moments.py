@@ -1,4 +1,4 @@
-"""Time arguments of the command line; imports no heavy package, as options are built from them."""
+"""Time arguments of the command line, without heavy imports, since the options use this module."""
 
 import re
 from datetime import UTC, datetime, timedelta
@@ -19,7 +19,7 @@ class Moment(NamedTuple):
 
     ns: int
     is_stamp: bool
-    """Whether it is a header timestamp rather than a time since the log's first depth image."""
+    """Whether ``ns`` is a header timestamp, not a time since the log's first depth image."""
 
     def stamp_ns(self, first_ns: int) -> int:
         """Return the moment as a header timestamp [ns] for a log that starts at ``first_ns``."""

@@ -8,7 +8,7 @@ from jaxdet.elementary import arctan2, dot, matmul, norm, sin
 from jaxdet.io.messages import TransformMessage
 
 MARGIN_S = 0.05
-"""Maximum time before the first or after the last sample at which it is still used [s]."""
+"""Maximum time before the first or after the last sample at which this sample is used [s]."""
 MAX_GAP_S = 1.0
 """Maximum time between two samples for interpolation [s]."""
 
@@ -42,7 +42,7 @@ class MotionSamples:
         return np.array(self._values, np.float64).reshape(-1, 7)
 
     def is_constant(self) -> bool:
-        """Return whether there are two or more samples, which are all equal."""
+        """Return whether there are two or more samples, and all are equal."""
         values = self.values
         return len(values) > 1 and bool(np.allclose(values, values[0], rtol=0, atol=1e-9))
 

@@ -1,8 +1,8 @@
 """Transforms and poses near given frames, read by the index.
 
 Either all messages were read at opening, or only those near the frames are read. In the second case
-the structure of the transform tree (parents, and which transforms are constant) is known from the
-first messages and an even sample, and each window checks its messages against it.
+the structure of the transform tree (parents, and which transforms are constant) is from the first
+messages and an even sample, and each window checks that its messages have the same structure.
 """
 
 from collections import OrderedDict
@@ -26,7 +26,7 @@ from jaxdet.io.transforms import TransformTree
 _SLACK_NS = 250_000_000
 """Allowed deviation of delays from those found at opening [ns]."""
 _BESIDE = 8
-"""Initial number of extra messages on both sides."""
+"""Initial number of extra messages on each side of a window."""
 _MAX_MESSAGES = 20_000
 """Maximum number of messages per window; if more are needed, all messages are read at opening."""
 _MAX_DECODED = 1 << 15
@@ -52,14 +52,14 @@ class MotionWindows:
             self._decoders += topic.decoders
         messages = IndexedMessages.joined(parts).in_file_order()
         self._arrival = np.argsort(messages.log_ns, kind="stable")
-        """Number of each message in file order; messages are in order of log time."""
+        """Rank of each message in file order; the messages themselves are in order of log time."""
         self._messages = messages.rows(self._arrival)
         self._store, self._tree, self._tracks = store, TransformTree(), contents.tracks
         self._path, self._seen, self.whole = contents.path, contents.delays, whole
         self._decoded: OrderedDict[int, list[tuple[str, TransformMessage]]] = OrderedDict()
 
     def of_tree(self, tree: TransformTree) -> "MotionWindows":
-        """Return the same windows for the transforms of one robot."""
+        """Return a copy for the transforms of one robot."""
         found = copy(self)
         found._tree, found._decoded = tree, OrderedDict()
         return found
@@ -110,7 +110,7 @@ class MotionWindows:
         return source.at(stamps_ns, tree, samples), chunks
 
     def _delays(self, moving: Sequence[str]) -> tuple[int, int]:
-        """Return the minimum and maximum expected difference of timestamps and log times [ns]."""
+        """Return the minimum and maximum expected delay, timestamp minus log time [ns]."""
         found = [seen for (topic, child), seen in self._seen.items() if (child or topic) in moving]
         if not found:
             return 0, 0
@@ -149,10 +149,10 @@ class MotionWindows:
         found = []
         try:
             items = decoder.motions(payload)
-        except FrameError as error:  # counted when all messages are read
+        except FrameError as error:  # the rescan counts this message
             raise self._odd(f"a message of {decoder.channel.topic} can't be decoded") from error
         for item in items:
-            if item.problem:  # also counted when all messages are read
+            if item.problem:  # the rescan counts this transform
                 raise self._odd(f"a transform of {item.child!r} is invalid")
             if decoder.kind is not Kind.TRANSFORM:
                 found.append((decoder.channel.topic, item))

@@ -37,9 +37,10 @@ def namespaces_of_camera(
 ) -> Namespaces:
     """Return the namespaces that belong to a camera.
 
-    A namespace above the camera's topic belongs to its robot, as does one that branches off below
-    it. If there is no such namespace, those with the longest common prefix with the topic belong to
-    the robot. A namespace with a common prefix with another camera belongs to that camera.
+    Namespaces that are prefixes of the camera's topic belong to its robot, as do namespaces that
+    start with the longest of them. If there are none, namespaces with the longest common prefix
+    with the topic belong to the robot. A namespace that shares a prefix with another camera belongs
+    to that camera.
 
     Args:
         namespaces: Namespaces of the topics with transforms or with poses.

@@ -1,4 +1,4 @@
-"""Opening of a log, by its files' own indexes or by rebuilt ones."""
+"""Opening of a log, by the indexes in its files or by rebuilt indexes."""
 
 from collections.abc import Sequence
 from contextlib import closing, suppress
@@ -40,7 +40,7 @@ def open_log(
     Args:
         source: File, folder or glob with exactly one log, or a log from :func:`find_logs`.
         options: Options of the user; by default everything is determined from the log.
-        memory: Limits of the memory for reading, which do not affect the frames.
+        memory: Limits of the memory for reading; frames do not depend on them.
 
     Raises:
         InputError: No file can be read, there are several logs, no frame is selected, or a chunk or
@@ -81,7 +81,7 @@ def open_log(
 def _opened(
     files: LogFiles, known: IndexedLog, options: LogOptions, left_out: Sequence[str]
 ) -> Log:
-    """Create the log; repeat with a body frame for depth if the depth images show one.
+    """Create the log, and again if the depth images show that their frame is a body frame.
 
     Raises:
         JaxdetError: See :func:`open_log`; the error lists damaged files and topics.
@@ -116,7 +116,7 @@ def _opened(
 def open_files(
     log: LogFiles, options: LogOptions, memory: ReadMemory
 ) -> tuple[list[LogFile], list[str]]:
-    """Return the open files of a log, and warnings of them and for splits that can't be read.
+    """Return the open files of a log, and warnings about them and about unreadable splits.
 
     Args:
         log: Names of the files.

@@ -58,8 +58,8 @@ class LogOptions:
     """Offset of the clock of transforms or odometry relative to depth [s], positive if they are
     ahead; unset: measured from the log times if it is more than 0.5 s."""
     depth_unit_m: float | None = None
-    """Metres per unit of the recorded depth; unset: 0.001 for 16-bit images, 1 for 32FC1 (0.001 if
-    it is in millimetres). From 0.00001 to 0.1, or 1."""
+    """Metres per unit of the recorded depth; unset: 0.001 for 16-bit images, 1 for 32FC1 (pass
+    0.001 if it is in millimetres). From 0.00001 to 0.1, or 1."""
     color_from_depth: tuple[float, float, float, float, float, float, float] | None = None
     """Transform from depth to colour camera (T_color_depth): tx ty tz qx qy qz qw [m]. It
     overrides the log."""

@@ -1,4 +1,4 @@
-"""Selection of the frames between two times, with few reads of the log."""
+"""Selection of the frames between two times, by bisection."""
 
 from bisect import bisect_left
 from collections.abc import Callable

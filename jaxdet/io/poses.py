@@ -48,7 +48,7 @@ class PoseSource(NamedTuple):
     """Transform ``(4, 4)`` float64 from the depth camera to ``camera``; None if they are the same.
     """
     offset_ns: int = 0
-    """Offset of the clock of the poses relative to depth [ns], positive if it is ahead."""
+    """Offset of the poses' clock relative to depth [ns], positive if the poses' clock is ahead."""
 
     @property
     def known(self) -> bool:
@@ -115,13 +115,13 @@ def pose_sources(
 ) -> list[PoseSource]:
     """Return the possible sources of the camera's poses by priority; there is at least one.
 
-    The first source with at least half of the poses should be used, else the one with most of them;
-    if none of the others has poses, the last source.
+    The first source with poses for at least half of the frames should be used, else the source with
+    the most poses. The last source is the fallback if no other source has poses.
 
     In order of priority: the topic of ``--log.odom``, moving transforms up to a world frame (the
     frame of ``--log.world-frame``, else map or odom), the robot's only Odometry or PoseInFrame
-    topic. A pose topic contains poses of the robot's base; if no static transforms connect it to
-    the camera, there are no poses but a warning.
+    topic. A pose topic contains poses of the robot's base; if no static transforms connect the base
+    to the camera, there are no poses, but a warning.
 
     Raises:
         TopicError: ``--log.odom`` is not a topic with poses.

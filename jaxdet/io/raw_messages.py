@@ -1,7 +1,7 @@
 """ROS 2 messages parsed in place: pixels of raw images, and transforms and poses.
 
 This is only possible if the definition in the log is the standard one; other messages are decoded
-by their definition. Pixels are copied from the file directly into their arrays. Robots send some
+by their definition. Pixels are copied from the file directly into their arrays. Robots send several
 hundred transforms per second, and a generic decoder takes 0.1 ms for each.
 """
 
@@ -15,14 +15,14 @@ from jaxdet.io.message_fields import MAX_STAMP_S, motion, nanoseconds, transform
 from jaxdet.io.messages import Kind, TransformMessage, kind_of
 
 HEAD_BYTES = 512
-"""Number of bytes of an image message in which its pixels are certain to start."""
+"""Number of bytes of an image message in which its pixels start, unless names are very long."""
 _COUNT = struct.Struct("<I")
 _STAMP = struct.Struct("<iI")
 _SIZE = struct.Struct("<II")
 _DATA = struct.Struct("<II")
 _MOTION = struct.Struct("<7d")
 _MAX_AT_ONCE = 1000
-"""Maximum number of transforms in a message."""
+"""Maximum number of transforms in a message that is parsed in place."""
 _ODOMETRY_REST = 8 * (36 + 6 + 36)
 """Number of bytes of an odometry message after its pose."""
 
@@ -44,10 +44,10 @@ def is_standard_image(channel: ChannelInfo) -> bool:
 
 
 def find_pixels(head: bytes | memoryview, size: int) -> Pixels | None:
-    """Locate the pixels of a little-endian CDR sensor_msgs/Image; None if it must be decoded.
+    """Locate the pixels of a little-endian CDR sensor_msgs/Image; None: decode the message.
 
     Args:
-        head: First bytes of the payload, at least ``HEAD_BYTES`` unless it is shorter.
+        head: First bytes of the payload, at least ``HEAD_BYTES`` or the complete payload.
         size: Size of the payload [byte].
     """
     try:
@@ -71,7 +71,7 @@ def find_pixels(head: bytes | memoryview, size: int) -> Pixels | None:
 
 
 def read_motions(kind: Kind, payload: bytes) -> tuple[TransformMessage, ...] | None:
-    """Parse the motions in a little-endian CDR message; None if it must be decoded.
+    """Parse the motions in a little-endian CDR message in place; None: decode the message.
 
     Args:
         kind: ``TRANSFORM`` or ``ODOMETRY``, with the standard definition of ROS 2.

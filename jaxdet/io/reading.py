@@ -36,7 +36,7 @@ from jaxdet.io.windows import IndexedFrames
 
 
 class Request(NamedTuple):
-    """A message to read into a row of a batch; sorts in file order."""
+    """A message to read into a row of a batch; the first five fields are the sort key."""
 
     chunk: Place
     offset: int
@@ -58,9 +58,9 @@ class Span(NamedTuple):
 
 
 SATURATED = 65535
-"""Largest 16-bit depth, which is never a measurement; 7-Scenes marks missing ones by it."""
+"""Largest 16-bit depth, which is never a measurement; in 7-Scenes it means unmeasured."""
 Failure = tuple[int, bool, FrameError]
-"""Row, whether it is the depth image, and the error."""
+"""Row, whether its depth image (not colour) failed, and the error."""
 
 
 class Failures(NamedTuple):
@@ -101,7 +101,7 @@ class ImageReader:
         self._used = used
         self._unit, self._max_pixels, self._hidden = depth_unit, max_pixels, hidden
         self._took: list[float] = []
-        """Times measured in threads since the last call of :meth:`decoding_s` [s]."""
+        """Decoding time of each chunk since the last call of :meth:`decoding_s` [s]."""
 
     def read(
         self,
@@ -147,7 +147,7 @@ class ImageReader:
             for failures in self._store.map(self._read_chunk, jobs):
                 for row, is_depth, error in failures:
                     errors[0 if is_depth else 1][row] = error
-        rows.clear()  # a thread may still hold its last job
+        rows.clear()  # a thread may still hold its last job with this list
         of_color = window.color_chunks if wanted is not None and wanted.any() else ()
         for chunk in (*window.chunks, *of_color) if self._strict else ():
             self._store.check(chunk)
@@ -249,7 +249,7 @@ class ImageReader:
     def _memory(
         self, head: memoryview, size: int, row: np.ndarray, depth: bool
     ) -> tuple[int, memoryview] | None:
-        """Return the offset of pixels in a payload and the matching row.
+        """Return the offset of pixels in a payload, and the memory of the row to copy them to.
 
         The result is None if the pixels need conversion.
         """
@@ -329,7 +329,7 @@ class _CheckedRead:
 
 
 def _remove_saturated(depth: np.ndarray) -> None:
-    """Set the pixels of a depth image to 0 (unmeasured) that are saturated."""
+    """Set the saturated pixels of a depth image to 0 (unmeasured)."""
     if depth.max(initial=0) == SATURATED:
         depth[depth == SATURATED] = 0
 
@@ -354,7 +354,7 @@ def _requests(
 
 
 def _repeated(table: FrameTable, wanted: np.ndarray) -> dict[int, int]:
-    """Return the earlier row with the same message, by wanted row, for rows that have one."""
+    """Return the first row with the same message, for each wanted row that repeats a message."""
     first: dict[tuple[Place, int], int] = {}
     found = {}
     rows = np.flatnonzero(wanted)

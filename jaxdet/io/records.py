@@ -1,4 +1,4 @@
-"""Reading of messages by the index, with a check of each against the index."""
+"""Reading of messages by the index; each message is checked against the index."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -20,7 +20,7 @@ class TopicMessages(NamedTuple):
     """Messages of one kind on a topic."""
 
     decoders: tuple[MessageDecoder, ...]
-    """Decoders, all of one kind or all of images; ``decoder`` of a message is an index into them.
+    """Decoders, all of one kind or all of images; ``messages.decoder`` has indices into this tuple.
     """
     messages: IndexedMessages
 

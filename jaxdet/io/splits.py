@@ -3,9 +3,9 @@
 rosbag2 names the files of a recording ``NAME_0.mcap``, ``NAME_1.mcap``, ...; so do people who
 number their recordings. ROS 1 adds the time at which each file begins,
 ``NAME_2024-05-01-10-00-00_0.bag``. Files listed in a ``metadata.yaml`` next to them are one
-recording. Other files are joined only if that is certain: their numbers are consecutive, they have
-the same topics, schemas and calibration, and the images of each begin within about a second of the
-end of the previous ones, without overlap.
+recording. Other files are joined only if they certainly belong together: their numbers are
+consecutive, they have the same topics, schemas and calibration, and the images of each begin within
+about a second of the end of the previous ones, without overlap.
 """
 
 import re
@@ -27,7 +27,7 @@ from jaxdet.io.options import LogOptions
 from jaxdet.io.validity import values_of
 
 _MAX_OVERLAP_NS = 100_000_000
-"""Maximum overlap of the images of two splits, since a recorder has several queues [ns]."""
+"""Maximum overlap in time of two splits' images [ns], as a recorder has several queues."""
 _MAX_GAP_NS = 1_000_000_000
 """Maximum pause between the images of two splits [ns], or two image periods if that is longer."""
 METADATA = "metadata.yaml"
@@ -109,7 +109,7 @@ class Recording(NamedTuple):
 
     paths: tuple[Path, ...]
     note: str
-    """What was joined and why, or why neighbouring numbered files are not part of it."""
+    """Files that were joined and why, or why neighbouring files are another recording."""
 
 
 def recordings(files: Sequence[tuple[int, Path]]) -> list[Recording]:
@@ -150,7 +150,7 @@ def recordings(files: Sequence[tuple[int, Path]]) -> list[Recording]:
 
 
 def recording_around(files: Sequence[tuple[int, Path]], place: int) -> list[Path]:
-    """Return the recording that contains the file at ``place``, looking only at its neighbours.
+    """Return the recording that contains the file at ``place``; only neighbours are read.
 
     Args:
         files: Files of one name and folder with their numbers, in order.

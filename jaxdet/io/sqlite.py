@@ -1,7 +1,7 @@
 """ROS 2 recordings in SQLite (``.db3`` of rosbag2).
 
 The number of a message is its ``id``; SQLite can read any part of a blob separately. The tables are
-the file's own index; if pages are damaged, they are read row by row. Source: rosbag2's
+the file's own index; if pages are damaged, the tables are read row by row. Source: rosbag2's
 ``rosbag2_storage_sqlite3``, schemas 1 to 4.
 """
 
@@ -35,8 +35,8 @@ _READ = {"sqlite_master", "messages", "topics", "message_definitions"}
 _FUNCTIONS = {"length", "typeof", "count", "max"}
 _MAX_BYTES = (1 << 31) - 1
 _STEPS = 1_000_000
-"""Number of virtual machine instructions between two checks of the time limit, some milliseconds.
-"""
+"""Number of instructions of SQLite's virtual machine (some milliseconds) between two checks of the
+time limit."""
 _PATIENCE_S, _BYTES_PER_S = 5.0, 50 << 20
 """Time limit for the next row of a query [s]: a constant, plus one second per this many bytes of
 the file."""

@@ -191,7 +191,7 @@ class ChunkStore:
             self.checked.add(place)
 
     def peek(self, place: Place, offset: int, size: int, *, whole: bool = True) -> memoryview:
-        """Return up to ``size`` bytes of a chunk's records, unchecked if they are not compressed.
+        """Return up to ``size`` bytes of a chunk's records, unchecked if the chunk is uncompressed.
 
         Args:
             place: Chunk.

@@ -10,7 +10,7 @@ from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind, RgbdM
 from jaxdet.io.zstd_images import is_zstd, read_zstd_head
 
 NUM_PROBES = 8
-"""Number of messages examined per stream."""
+"""Number of first messages examined per topic with images or calibrations."""
 PROBE_BYTES = 1 << 16
 """Size of the part of a compressed image that is kept for its header [byte]."""
 
@@ -23,7 +23,7 @@ class ImageSize(NamedTuple):
 
 
 class FirstImage(NamedTuple):
-    """Data of one of the first messages, even if it can't be decoded."""
+    """Times and size of one of the first messages, even if the message can't be decoded."""
 
     stamp_ns: int
     """Header timestamp [ns], for RGBD that of depth; the log time if it can't be decoded."""

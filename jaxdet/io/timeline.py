@@ -27,11 +27,11 @@ class StreamNotes(NamedTuple):
 
 
 class Notes(NamedTuple):
-    """Observations from a range of frames of a log that was opened by its index.
+    """Observations from a range of frames of a log.
 
     If the frames of a log are divided into ranges, each depth image is counted in exactly one of
-    them. For a log that was scanned, everything except ``bad_color`` is known at opening, and the
-    other fields are empty.
+    them. The description of a log that was read completely at opening already contains everything
+    except ``bad_color``.
     """
 
     depth: StreamNotes = StreamNotes()
@@ -131,7 +131,7 @@ def nearest(stamps_ns: np.ndarray, others_ns: np.ndarray, tolerance_s: float) ->
 def apart(
     depth: FrameTable, color: FrameTable | None, color_offset_ns: int = 0
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return timestamp and log time differences [ns], and the number of frames without colour.
+    """Return timestamp and log time gaps to colour [ns], and the number of frames without colour.
 
     The clock of colour is ahead of that of depth by ``color_offset_ns``.
     """

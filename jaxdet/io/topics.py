@@ -49,7 +49,7 @@ _MAX_LISTED = 12
 NO_COLOR_TOPIC = "no topic with colour images", "set one with --log.color"
 """Default reason for the missing colour topic, and the remedy."""
 _MANY_MORE = 1.5
-"""Ratio of the numbers of depth images from which on it is reported."""
+"""Ratio of the image counts of two depth topics from which on the unused topic is reported."""
 
 
 class Candidate(NamedTuple):
@@ -258,7 +258,7 @@ def _candidates(
 
 
 def _is_eye(topic: str, contents: LogContents) -> bool:
-    """Return whether a topic is the left or right image of a ZED with a colour image."""
+    """Return whether a topic is the left or right image of a ZED that also has an rgb topic."""
     color = re.sub("/(left|right)/", "/rgb/", topic)
     return color != topic and color in contents.streams
 
@@ -298,7 +298,7 @@ def _is_kind(stream: ImageStream, depth: bool) -> bool:
 
 
 def _why_not_depth(stream: ImageStream) -> tuple[str, str] | None:
-    """Return why images that look like depth are not, with the remedy.
+    """Return why images are not depth though their topic or format suggests it, with the remedy.
 
     The result is None if the images may be depth.
     """

@@ -117,9 +117,9 @@ class TransformTree:
 
         Args:
             messages: Transforms.
-            static: Whether they are valid at all times (``/tf_static``).
-            once_is_static: Whether a frame with a single transform is static (Foxglove, which does
-                not distinguish them).
+            static: Whether the transforms are valid at all times (``/tf_static``).
+            once_is_static: Whether a frame with a single transform is static (for Foxglove, whose
+                schemas do not distinguish static and moving transforms).
             topic: Topic of the transforms.
         """
         self._topics.add(topic)
@@ -146,8 +146,8 @@ class TransformTree:
     def settle(self) -> None:
         """Finish the tree: transforms that never change become static.
 
-        Many robots publish their mounts on ``/tf``, at any rate, and stop shortly before the images
-        do.
+        Many robots publish constant transforms on ``/tf``, at various rates, and the last message
+        may be shortly before the last image.
         """
         for edge in self._edges.values():
             once = edge.once_is_static and len(edge.samples) == 1

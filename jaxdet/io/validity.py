@@ -95,7 +95,7 @@ class CalibrationWindows:
         """Topics and contents, without timestamps, of messages that were compared."""
 
     def other(self, stamps_ns: np.ndarray) -> np.ndarray | None:
-        """Return which frames have another calibration; None if the changes are unknown."""
+        """Return which frames have another calibration; None: no changes, or not all were read."""
         if not self._changes:
             return None
         used = self._used[self._of_depth]

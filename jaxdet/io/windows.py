@@ -1,4 +1,4 @@
-"""Frames of a log by its index.
+"""Access to the frames of a log by the index of its files.
 
 The number of a frame is the rank of its depth image by header timestamp. If all timestamps have
 been read, the ranks follow from them. Otherwise only messages near the requested frames are read,
@@ -6,13 +6,13 @@ since the messages of a stream are nearly in order of timestamps. It is checked 
 that are ``REACH`` or more apart (by log time) are in the wrong order; then ranks follow from nearby
 messages. It is sufficient to compare messages ``REACH`` to ``2 REACH - 1`` apart: of two messages
 in the wrong order that are farther apart, one in between is in the wrong order with one of them.
-Both are known to the window with the message ``REACH`` after the first of them, and each message of
-a log belongs to one window of any division of its frames. Reading all frames thus yields either the
+The window with the message ``REACH`` after the first of the two reads both, and each message of a
+log belongs to one window of any division of its frames. Reading all frames thus yields either the
 correct ranks or an error.
 
 The timestamps of colour images are read even if colour is not decoded. In an uncompressed chunk
 this takes 64 bytes per message (0.02 ms). A large compressed chunk is decompressed only at its
-start if the message is there (0.1 ms instead of 1 ms), otherwise completely; it must be read for
+start if the message is there (0.1 ms instead of 1 ms), otherwise completely, as is necessary for
 depth anyway. Chunks that contain only colour are checked against their CRC only if colour is
 decoded.
 """
@@ -35,11 +35,11 @@ from jaxdet.io.timeline import FrameTable, Notes, StreamNotes, Window, apart, ne
 from jaxdet.io.validity import CalibrationWindows
 
 REACH = 4
-"""Minimum distance of messages, by log time, whose order by timestamps is checked."""
+"""Minimum distance, in messages by log time, at which the order of timestamps is checked."""
 _LOOKS = 64
 """Number of messages whose timestamps are read before a part of a log is selected."""
 _BESIDE = 2
-"""Initial number of extra colour images on both sides."""
+"""Initial number of extra colour images on each side of a window."""
 _MAX_BESIDE = 4096
 _STAMP_BYTES = 64
 """Number of bytes of a payload that contain a leading timestamp."""
@@ -58,7 +58,7 @@ class StreamWindows:
         backward: Number of messages that follow a message with a later log time in the files.
         whole: Whether compressed chunks are decompressed completely for timestamps, or only their
             start if possible.
-        stamp: Header timestamps of the messages read, of RGBD those of depth, ``(N,)`` int64 [ns].
+        stamp: Header timestamps, of RGBD those of depth, ``(N,)`` int64 [ns]; -1 if not read.
         color_stamp: Like ``stamp``, but of RGBD messages the timestamps of colour.
         size: Payload sizes, ``(N,)`` int64 [byte]; -1 if a message has not been read.
     """
@@ -79,7 +79,7 @@ class StreamWindows:
 
     @property
     def is_rgbd(self) -> bool:
-        """Whether a message contains both images."""
+        """Whether a message contains a depth and a colour image."""
         return self.decoders[0].kind is Kind.RGBD
 
     @property
@@ -95,7 +95,7 @@ class StreamWindows:
         """Read the timestamps of a message; return why it can't be decoded, else an empty string.
 
         Raises:
-            DamageError: The message is not where the index says.
+            DamageError: The message is not at its position in the index.
         """
         decoder = self.decoders[self.messages.decoder[number]]
         leads = decoder.stamp_leads and decoder.kind is not Kind.RGBD
@@ -118,7 +118,7 @@ class StreamWindows:
         return problem
 
     def lose(self, number: int) -> None:
-        """Keep a message that can't be read as a frame with its log time."""
+        """Treat an unreadable message as an image with its log time as timestamp."""
         self.stamp[number] = self.color_stamp[number] = self.messages.log_ns[number]
         self.size[number] = 0
 
@@ -153,11 +153,11 @@ class StreamWindows:
 
         If a clock is adjusted, the difference between timestamps and log times changes for all
         later messages. If the differences vary by more than allowed for the order of messages, all
-        are read.
+        messages are read.
 
         Raises:
             RescanError: The messages are too far from the order of their timestamps.
-            DamageError: A message is not where the index says.
+            DamageError: A message is not at its position in the index.
         """
         if self.is_complete:
             return
@@ -173,7 +173,7 @@ class StreamWindows:
 
         Raises:
             RescanError: The messages are too far from the order of their timestamps.
-            DamageError: A message is not where the index says.
+            DamageError: A message is not at its position in the index.
         """
         if self._order is not None:
             return self._order[first:last]
@@ -192,7 +192,7 @@ class StreamWindows:
         """Count irregularities of the messages and frames from ``first`` to ``last``, exclusive.
 
         Args:
-            first: First message; the timestamps are known.
+            first: First message; the timestamps must have been read.
             last: Message after the last one.
             ranked: Messages of the frames ``first - 1`` (if it exists) to ``last``.
         """
@@ -211,7 +211,7 @@ class StreamWindows:
         return FrameTable(stamps, self.size[numbers], self.messages.rows(numbers))
 
     def _load(self, numbers: np.ndarray) -> None:
-        """Read the timestamps of messages that are not known yet."""
+        """Read the timestamps of those messages that have not been read yet."""
         missing = numbers[self.size[numbers] < 0]
         if not len(missing):
             return
@@ -228,7 +228,7 @@ class StreamWindows:
 
 
 class IndexedFrames(NamedTuple):
-    """Frames of a log by its index."""
+    """Images, poses and calibrations of the frames of a log, read by its index."""
 
     depth: StreamWindows
     color: StreamWindows | None
@@ -326,8 +326,8 @@ class IndexedFrames(NamedTuple):
         """Return the nearest colour images of some frames, and the chunks to check for them.
 
         If not all timestamps are known, all messages between the frames by log time are read, so
-        that each message of a log is read in some window, and further ones until no other can be
-        nearer.
+        that each message of a log is read in some window, and then further messages until no other
+        image can be nearer.
         """
         own_ns, log_ns, count = self.depth.messages.log_ns, color.messages.log_ns, len(color)
         first = int(np.searchsorted(log_ns, own_ns[start])) if start else 0

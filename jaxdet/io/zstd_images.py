@@ -1,7 +1,7 @@
 """Raw images compressed by ROS's ``zstd`` transport.
 
 The header has 17 bytes, little-endian: height and width, whether samples are big-endian, bytes per
-row, length of the encoding's name. It is followed by the name, then a zstd stream (or gzip, as the
+row, length of the encoding's name. The name follows, then a zstd stream (or gzip, as the
 transport wrote until 2026). Some writers omit the header; such images have the calibrated size, and
 their bytes per pixel determine the encoding. Source: ``zstd_image_transport`` of
 image_transport_plugins.

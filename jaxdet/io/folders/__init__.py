@@ -4,5 +4,5 @@
 
     layouts                         list of all layouts; recognizes folders and reads them
       basic, phones                   one function per layout, folder -> recording
-        recording                       the form that all layouts are read into; text files
+        recording                       common form of all layouts; parsing of text files
 """

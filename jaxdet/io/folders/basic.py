@@ -5,7 +5,7 @@ images (``depth``: 16-bit PNG, aligned to colour). Optional files:
 
 - ``rgb.txt`` and ``depth.txt`` list timestamps [s] and names. Without them, names with a decimal
   point are timestamps, ``NUMBER-TIME.png`` has microseconds (Redwood), and the last number in other
-  names is a frame number at :data:`RATE_HZ`.
+  names is a frame number, with :data:`RATE_HZ` frames per second.
 - ``groundtruth.txt`` has the camera's poses (timestamp, tx ty tz, qx qy qz qw). A matrix per frame
   can be in ``pose/NAME.txt``, or in ``NAME.pose.txt`` next to the depth image.
 - A JSON file has the camera matrix: ``intrinsic_matrix`` (nine numbers, column-major), ``width``,
@@ -147,7 +147,7 @@ def _listed_poses(folder: Path) -> list[Pose]:
 
 
 def _poses_of_frames(folder: Path, images: Sequence[Image], files: ImageFiles) -> list[Pose]:
-    """Read the poses in files per depth image; invalid ones are left out."""
+    """Read the poses from one file per depth image; invalid poses are left out."""
     found = []
     for stamp_ns, image in images:
         name = files.frame_name(image)

@@ -45,7 +45,7 @@ class Layout(NamedTuple):
 
 
 def _read_7_scenes(folder: Path) -> Recording | None:
-    """Read a folder that itself has the images, ``frame-000000.color.png`` and ``.depth.png``."""
+    """Read a folder that directly contains images ``frame-000000.color.png`` and ``.depth.png``."""
     if not _FLAT_DEPTH.paths(folder):
         return None
     return basic.read(folder, _FLAT_COLOR, _FLAT_DEPTH)
@@ -67,7 +67,7 @@ def _scannet_cameras(folder: Path, color: Sequence[Image], depth: Sequence[Image
 
 
 def _read_sun3d(folder: Path) -> Recording | None:
-    """Read a folder with the camera matrix (3, 3) in ``intrinsics.txt``, and rotated depth."""
+    """Read a folder with the camera matrix (3, 3) in ``intrinsics.txt``; depth bits are rotated."""
     if not (folder / _SUN3D_MATRIX).is_file():
         return None
     return basic.read(folder, cameras=_sun3d_cameras)._replace(is_rotated=True)
@@ -78,7 +78,7 @@ def _sun3d_cameras(folder: Path, color: Sequence[Image], _: Sequence[Image]) -> 
 
 
 def _camera(path: Path, rows: int, images: Sequence[Image]) -> Intrinsics | None:
-    """Return the camera of images from a file with its matrix; None if one of them is missing."""
+    """Return intrinsics from a file with the camera matrix; None if file or images are missing."""
     if not path.is_file() or not (size := image_size(images)):
         return None
     K = read_matrix(path, rows)

@@ -7,8 +7,7 @@ supported.
 
 Record3D's export has ``metadata.json`` with ``K`` (column-major) for images of ``w`` x ``h``
 pixels, ``frameTimestamps`` or ``fps``, and ``poses`` (quaternion, position) of ARKit's camera,
-whose y axis is up and whose z axis is backward. Its depth is OpenEXR, which is not supported, or
-PNG converted from that.
+whose y axis is up and whose z axis is backward. Its OpenEXR depth must be converted to PNG.
 
 The y axis of ARKit's world is up; here the z axis is up. Sources: "Data Specification" in Stray
 Scanner's documentation and its ``OdometryEncoder``; Record3D's web page on its formats.
@@ -110,7 +109,7 @@ def _recording(
 
     Args:
         folder: Folder of the recording.
-        numbers: Frame numbers in the file names, ``N``.
+        numbers: Frame numbers in the file names, ``N`` items.
         times_s: Timestamps ``(N,)`` float64 [s].
         poses: Poses of the optical frame in ARKit's world, ``(N, 4, 4)`` float64; NaN if unknown.
         K: Camera matrix ``(3, 3)`` float64 for images of ``size``.
@@ -120,7 +119,7 @@ def _recording(
         raise ValueError("the camera matrix is invalid")
     if not ((times_s >= 0) & (times_s < MAX_ROS2_STAMP_S)).all():
         raise ValueError("a timestamp is out of range")
-    # A timestamp of zero would mean that there is none.
+    # A timestamp of zero would count as missing.
     stamps = np.round(times_s * 1e9).astype(np.int64) + (SECOND if not times_s.all() else 0)
     stamp_of = dict(zip(numbers, stamps.tolist(), strict=True))
     color, depth = (_images(folder, files, stamp_of) for files in (COLOR, DEPTH))
@@ -143,7 +142,7 @@ def _images(folder: Path, files: ImageFiles, stamp_of: dict[int, int]) -> list[I
 
 
 def _camera(K: np.ndarray, size: tuple[int, int], images: Sequence[Image]) -> Intrinsics | None:
-    """Return the camera of images with the field of view of ``K``, which is for another size."""
+    """Return the intrinsics of images from ``K``, which is for images of ``size``."""
     if not (own := image_size(images)):
         return None
     x, y = own[0] / size[0], own[1] / size[1]

@@ -22,7 +22,7 @@ APPLE_DOUBLE = "._"
 
 
 class ImageFiles(NamedTuple):
-    """Rule for the files of colour or depth images; upper and lower case are equal."""
+    """Rule for the names of files with colour or depth images; case is ignored."""
 
     folders: tuple[str, ...]
     """Possible names of the subfolder with the images; empty if they are in the folder itself."""
@@ -92,11 +92,11 @@ class Pose(NamedTuple):
 
 
 class Cameras(NamedTuple):
-    """Calibration of a recording; None for what it does not contain."""
+    """Calibration of a recording; None for each part that the recording lacks."""
 
     color: Intrinsics | None = None
     depth: Intrinsics | None = None
-    """Camera of the depth images if they are not aligned to colour."""
+    """Intrinsics of the depth images if they are not aligned to colour."""
     depth_unit_m: float | None = None
 
 
@@ -140,7 +140,7 @@ def read_text(path: Path) -> str:
 
 
 def read_table(path: Path, columns: int) -> list[list[str]]:
-    """Return the first words of each line; comments start with ``#``.
+    """Return the first ``columns`` words of each line; comments start with ``#``.
 
     Raises:
         InputError: A line has fewer columns.
@@ -158,7 +158,7 @@ def read_matrix(path: Path, rows: int) -> np.ndarray:
     """Read a square matrix ``(rows, rows)`` float64.
 
     Raises:
-        InputError: The file has something else.
+        InputError: The file does not contain such a matrix.
     """
     try:
         return np.array(read_table(path, rows), np.float64).reshape(rows, rows)
