@@ -7,12 +7,12 @@ Each module calls those below it::
     scheduler, output            order of the logs; logs that are done; folders of results
     process_log                  processing of a log, from its files to its folder of results
     executors                    processes that work on the units of a log
-    placement, memory            decision which processes work on a log; what fits into memory
+    placement, memory            choice of the processes for a log; batch sizes that fit into memory
     pool, worker                 worker processes, whose tasks are units of a log, or whole logs
-    unit, unit_result            processing of a unit: frames are read, computed, made into rows
-    plan, floors, own_body       units of a log; priors of its floors; the robot in its images
-    device                       detection in batches, in this process or by its parent's GPUs
-    gpu, slots                   GPUs of the first process, which compute for all workers
+    unit, unit_result            processing of a unit: read frames, find obstacles, make table rows
+    plan, floors, own_body       units of a log; floor priors; parts of the robot in the images
+    device                       detection in batches, in this process or on the main process's GPUs
+    gpu, slots                   GPUs of the main process, which compute for all workers
     startup                      caches of compiled programs and environment of a process
 
 A small log is processed by one worker, a large log by all workers::
