@@ -64,7 +64,7 @@ def coefficients(camera: Intrinsics) -> np.ndarray:
     """Return the lens coefficients, zero-padded to ``(8,)`` float64.
 
     Raises:
-        CalibrationError: There are more than eight.
+        CalibrationError: There are more than eight coefficients.
     """
     if len(camera.coefficients) > NUM_COEFFICIENTS:
         raise CalibrationError(

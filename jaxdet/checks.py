@@ -41,7 +41,7 @@ FOCAL_LENGTHS = 1.0, 1e6
 VIEW_DEG = 1.0, 179.0
 """Minimum and maximum field of view, the larger of horizontal and vertical [degree]."""
 MAX_PIXEL_ASPECT = 4.0
-"""Maximum ratio between fx and fy; binning of rows or columns alone makes it 2."""
+"""Maximum ratio between fx and fy; the ratio is 2 if only rows or only columns are binned."""
 MAX_COEFFICIENT = 1e4
 """Maximum magnitude of a distortion coefficient."""
 MAX_BASELINE_M = 10.0
@@ -226,8 +226,8 @@ def check_frames(frames: Frames, config: Config, *, floor_only: bool = False) ->
 
     Args:
         frames: Frames.
-        config: Configuration. ``paper`` requires colour images, the others depth cells of a valid
-            size.
+        config: Configuration. ``paper`` requires colour images, other presets depth cells of a
+            valid size.
         floor_only: Whether only the floor is estimated, which requires cells but no colour.
 
     Raises:
@@ -304,7 +304,7 @@ _PLANES = "pass (B,) arrays of numbers, for instance from jaxdet.flat_plane"
 
 
 def _column(name: str, values: Any, kinds: str) -> np.ndarray:
-    """Return values as an array with one axis; its dtype must be of one of these NumPy kinds."""
+    """Return values as an array with one axis; ``kinds`` has the valid NumPy kinds of its dtype."""
     array = np.asarray(values) if hasattr(values, "dtype") else np.zeros((), object)
     if array.dtype.kind not in kinds or array.ndim != 1:
         kind = str(getattr(values, "dtype", type(values).__name__))
@@ -381,7 +381,7 @@ def check_points(points: int) -> None:
     """Check the number of points per frame against the limits of keys, sums and kernel memory.
 
     Raises:
-        ConfigError: There are more than ``MAX_POINTS``.
+        ConfigError: There are more than ``MAX_POINTS`` points.
     """
     if points > MAX_POINTS:
         raise ConfigError(

@@ -2,7 +2,7 @@
 
 Every field is a command-line flag (``--ground.max-depth-m``) and a TOML key
 (``[ground] max_depth_m``). The parts ``floor``, ``surface`` and ``obstacle`` configure the methods
-on depth cells, ``features`` and ``cluster`` the preset ``paper``; the others serve both. The
+on depth cells, ``features`` and ``cluster`` the preset ``paper``; the other parts serve both. The
 dataclasses are hashable, so JAX can take them as static arguments. Numbers of sections and
 equations are those of the paper (``jaxdet help paper``).
 """

@@ -20,7 +20,7 @@ Section = TypeVar("Section", bound="DataclassInstance")
 
 
 def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
-    """Return a copy of a configuration with other values, given as for :func:`jaxdet.preset`.
+    """Return a copy of a configuration with changes, which are passed as to :func:`jaxdet.preset`.
 
     Raises:
         ConfigError: A parameter is unknown or in several sections, or a value is invalid.
@@ -54,7 +54,7 @@ def _home(key: str, homes: list[str]) -> str:
 
 
 def changed(section: Section, values: Mapping[str, Any], name: str, path: str) -> Section:
-    """Return a copy of a configuration section with the given values.
+    """Return a copy of a configuration section with other values.
 
     The key of an angle may lack its ``_rad`` if the value has a unit: ``camera_pitch = "10deg"``.
 

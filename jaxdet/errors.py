@@ -73,7 +73,7 @@ class InputError(JaxdetError):
 
 
 class ChunkMemoryError(InputError):
-    """A chunk needs more memory than this process may use; fewer workers leave more for each."""
+    """A chunk needs more memory than this process may use; fewer workers get more memory each."""
 
 
 class TopicError(JaxdetError):
@@ -99,7 +99,7 @@ class CalibrationError(JaxdetError):
 
 
 class TransformError(CalibrationError):
-    """The transforms read so far do not connect two frames; later ones in the log might."""
+    """The transforms read so far do not connect two frames; later transforms in the log may."""
 
 
 class ConfigError(JaxdetError):

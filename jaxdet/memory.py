@@ -43,7 +43,7 @@ def _group_limits() -> Iterator[int]:
 
 
 def parse_size(text: str, flag: str) -> int:
-    """Parse a size: ``800MiB``, ``1.5G``, ``2GB``; K, M, G and T alone are powers of 1024.
+    """Parse a size: ``800MiB``, ``1.5G``, ``2GB``; units without B are powers of 1024.
 
     Args:
         text: Number with its unit.

@@ -106,8 +106,8 @@ def detect(
 def detect_on_cpu(frames: Frames, config: Config, *, backend: BackendName) -> Detections:
     """Detect obstacles as :func:`detect` does, with cells or points, without loading JAX.
 
-    It is meant for a few frames, for instance those of pictures. For the preset ``paper``, whose
-    program needs JAX, the reference computes them.
+    This function is meant for a few frames, for instance for pictures. The preset ``paper``, whose
+    program needs JAX, is computed by the reference.
 
     Args:
         frames: ``B`` frames on the host.

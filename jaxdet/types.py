@@ -43,7 +43,7 @@ MAX_LABELS = 1024
 """Maximum number of obstacle parts per frame, after bent obstacles are split."""
 
 MAX_OBSTACLES = 128
-"""``M`` for obstacles made of surfaces; additional ones set the overflow flag."""
+"""``M`` for obstacles made of surfaces; additional obstacles set the overflow flag."""
 
 RAYS = 1440
 """Number of bearings of the free floor: a full turn in steps of a quarter of a degree. Ray ``i``
@@ -146,8 +146,8 @@ class Intrinsics(NamedTuple):
             K: Camera matrix ``(3, 3)`` [pixel].
             width: Image width [pixel].
             height: Image height [pixel].
-            distortion: Lens coefficients, at most 8. Additional ones, as in OpenCV's models with 12
-                or 14, must be zero. None: images without distortion.
+            distortion: Lens coefficients, at most 8. Additional coefficients, as in OpenCV's models
+                with 12 or 14, must be zero. None: images without distortion.
             model: Name of a :class:`Distortion`; by default ``plumb_bob`` for 4 or 5 coefficients
                 and ``rational_polynomial`` for 8.
 

@@ -100,7 +100,7 @@ def backends_agree() -> tuple[bool, str]:
 
 
 def kernels_answer() -> tuple[bool, str]:
-    """Run the kernels on test images and compare their results with the stored ones."""
+    """Run the kernels on test images and compare the results with stored results."""
     from jaxdet.stages import check_kernels
 
     check_kernels()

@@ -161,7 +161,7 @@ def describe(
 
 
 def _color(log: "Log") -> str:
-    """Return which frames have colour, or why none has."""
+    """Return a text on the frames that have colour, or the reason why no frame has colour."""
     if log.color_problem:
         return f"{log.color_problem}; pictures show depth"
     pairing = log.description.pairing

@@ -108,7 +108,7 @@ def _remarks(kind: str, each: Sequence[tuple["LogSummary", Sequence[str]]]) -> l
 
 
 def _named(labels: Sequence[str]) -> str:
-    """Join the first ``MOST_NAMED`` labels with commas, and append how many are left out."""
+    """Join the first ``MOST_NAMED`` labels with commas, and append the number of other labels."""
     left = len(labels) - MOST_NAMED
     return ", ".join(labels[:MOST_NAMED]) + (f" and {left} more" if left > 0 else "")
 
@@ -171,7 +171,7 @@ def _log_lines(log: "LogSummary") -> list[str]:
 
 
 def _floor_text(log: "LogSummary") -> str:
-    """Return how many frames have a floor of their own, and the floor sources of the others."""
+    """Return the number of frames with a floor of their own, and the sources of other floors."""
 
     def source_text(name: str) -> str:
         return "none" if name == "none" else f"that of {name}"

@@ -82,7 +82,7 @@ def score_against(truth: Path, config: Config, logs: int) -> "TruthScore | Label
 
 
 class LabelScore:
-    """Observer that compares image boxes with labelled ones (:class:`jaxdet.engine.Observer`).
+    """Observer that compares image boxes with labelled boxes (:class:`jaxdet.engine.Observer`).
 
     A labelled object is required if the depth in its box is within the method's range. Frames
     without labels are skipped.

@@ -140,5 +140,5 @@ def _lines(text: str, columns: int, **how: Any) -> list[str]:
 
 
 def _columns() -> int:
-    """Return the width of the help: that of the terminal, within limits."""
+    """Return the width of the help: the width of the terminal, within limits."""
     return min(WIDTH, max(NARROWEST, shutil.get_terminal_size((WIDTH, 24)).columns))

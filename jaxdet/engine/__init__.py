@@ -6,13 +6,13 @@ Each module calls those below it::
     scheduler, output            order of the logs; logs that are done; folders of results
     process_log                  processing of a log, from its files to its folder of results
     executors                    processes that work on the units of a log
-    placement, memory            decision which processes work on a log; what fits into memory
+    placement, memory            choice of the processes for a log; batch sizes that fit into memory
     pool, worker                 worker processes, whose tasks are units of a log, or whole logs
-    unit, unit_result            processing of a unit: frames are read, computed, made into rows
-    plan, own_body               units of a log; the robot in its images
-    gpu, slots                   GPUs of the first process, which compute for all workers
-    device                       detection in batches, in this process or by its parent's GPUs
-    floors                       priors of the floors of a log
+    unit, unit_result            processing of a unit: read frames, find obstacles, make table rows
+    plan, own_body               units of a log; parts of the robot in the images
+    gpu, slots                   GPUs of the main process, which compute for all workers
+    device                       detection in batches, in this process or on the main process's GPUs
+    floors                       floor priors of a log
     startup                      caches of compiled programs and environment of a process
     settings                     options and configuration of a run, and their record in run.json
 

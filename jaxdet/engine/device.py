@@ -33,7 +33,7 @@ class Found(NamedTuple):
     """Detections of a batch, on the host."""
 
     inputs: Detections
-    """Part of the detections from which rows are made, see
+    """Those arrays of the detections that table rows are made of, see
     :func:`jaxdet.results.rows.row_inputs`."""
     detections: Detections | None = None
     """All detections; None from GPUs of another process."""
@@ -46,7 +46,7 @@ class Device(Protocol):
     """Finds obstacles; batches are finished in the order in which they were started."""
 
     ahead: int
-    """Number of batches that are started before the first of them is finished."""
+    """Number of later batches that are started before a batch is finished."""
     doing: str
     """Step to which the time of :meth:`start` and :meth:`finish` belongs: ``compute``, or ``wait``
     for GPUs of another process."""
@@ -57,7 +57,7 @@ class Device(Protocol):
         ...
 
     def start(self, batch: "Batch") -> Any:
-        """Start a batch of frames with images and with the priors of their floors."""
+        """Start the detection in a batch of frames with images and floor priors."""
         ...
 
     def finish(self, started: Any) -> Found:
@@ -86,13 +86,13 @@ class OwnDevice:
         self._how: Any = {"backend": backend, "with_cells": with_cells}
 
     def start(self, batch: "Batch") -> Detections:
-        """Start a batch."""
+        """Start the detection in a batch."""
         frames = method_frames(batch.frames, self._config)
         with computing():
             return detect(frames, self._config, **self._how)
 
     def finish(self, started: Detections) -> Found:
-        """Wait for a batch."""
+        """Wait for the detections of a batch, and return them on the host."""
         with computing():
             detections: Detections = to_host(started)
         return Found(row_inputs(detections), detections)
@@ -124,16 +124,16 @@ def detected(
     device: Device,
     busy: Counter[Any] | None = None,
 ) -> Generator[tuple[Key, "Batch", Found], None, None]:
-    """Yield batches with the priors of their floors and with their detections, in order.
+    """Yield each key with its batch, with floor priors, and the detections, in order.
 
-    A batch is read while ``device.ahead`` others are computed.
+    A batch is read while ``device.ahead`` earlier batches are computed.
 
     Args:
-        batches: Batches of frames with images, see :func:`color_to_read`, each with anything that
-            belongs to it.
+        batches: Batches of frames with images, see :func:`color_to_read`, each with a key that is
+            returned with it.
         planes: Priors of the log's floors.
         device: Device that computes.
-        busy: Times of steps [s], to which those of this process and of the device are added.
+        busy: Time of each step [s]; the times of this process and of the device are added.
     """
     busy = Counter() if busy is None else busy
     in_flight: deque[tuple[Key, Batch, Any]] = deque()
@@ -163,7 +163,7 @@ def detected(
 
 @contextmanager
 def timed(busy: Counter[Any], step: str) -> Iterator[None]:
-    """Add the time that the context takes to a step."""
+    """Add the time spent in the context to ``busy[step]`` [s]."""
     start = time.perf_counter()
     try:
         yield
@@ -172,11 +172,11 @@ def timed(busy: Counter[Any], step: str) -> Iterator[None]:
 
 
 def color_to_read(config: Config, shown: bool | Collection[int] = False) -> dict[str, Any]:
-    """Return which colour images are read, as arguments of :meth:`jaxdet.io.Log.batches`.
+    """Return arguments of :meth:`jaxdet.io.Log.batches` that select the colour images to read.
 
     Args:
-        config: Configuration; the preset ``paper`` reads all.
-        shown: Frames whose images are shown: all, none, or a container of numbers.
+        config: Configuration; the preset ``paper`` reads the images of all frames.
+        shown: Frames whose images are shown: True (all), False (none), or their numbers.
     """
     paper = config.cluster.points
     return {"color": paper or shown, "need_color": paper}

@@ -1,4 +1,4 @@
-"""Executors of a log's frames: one process, or the workers of a pool together."""
+"""Executors, which process the frames of a log in this process or in the workers of a pool."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -30,10 +30,10 @@ class Executor(Protocol):
     """Processes the frames of one camera of an open log."""
 
     share: Share
-    """Placement of the frames."""
+    """Number of processes and batch sizes for the frames."""
 
     def find_planes(self) -> Planes:
-        """Start processes that don't run yet, and return the priors of the floors."""
+        """Start workers that don't run yet, and return the priors of the log's floors."""
         ...
 
     def work(self, plan: LogPlan, units: Sequence[Unit]) -> UnitResults:
@@ -46,14 +46,14 @@ class Host:
     """The process that works on a log, from its files to its results."""
 
     memory: Memory
-    """Memory of the run; if chunks are large, fewer processes share the log."""
+    """Memory of the run; if a log has large chunks, fewer processes share its frames."""
     executor: Callable[["Log", Memory], Executor]
     """Returns the executor of an open log."""
     report: Report = lambda *_: None
     """Called with the progress of the log."""
     log_per_worker: bool = False
     """Whether each process of the run works on a log of its own. If so, errors are raised, not
-    recorded, including that of a log that exceeds this process's share of the memory."""
+    recorded, also if the log exceeds this process's share of the memory."""
 
 
 def first_process(machine: Machine, report: Report = lambda *_: None) -> Host:
@@ -82,7 +82,7 @@ class InProcess:
     device: Device
     """Device that computes."""
     alive: Callable[[], object] = lambda: None
-    """Called after each batch."""
+    """Called after each batch, to report progress."""
 
     def find_planes(self) -> Planes:
         """Find the floors in this process."""
@@ -127,7 +127,7 @@ class InPool:
             with closing(self.pool.each(self._job(plan), todo)) as answers:
                 for unit, answer in answers:
                     if failure:
-                        continue  # workers that complete their tasks can be used again
+                        continue  # lets workers complete their tasks, so that they can be reused
                     if isinstance(answer, Lost):
                         answer = self._retry(plan, unit, answer)
                     if isinstance(answer, Failure):
@@ -149,11 +149,11 @@ class InPool:
         return lost_unit(self.log, plan, unit, found.status, reason)
 
     def _job(self, plan: LogPlan) -> "UnitJob":
-        """Return the job that processes units, with the current memory of the GPUs."""
+        """Return the job that processes units, with the memory that the GPUs share now."""
         return UnitJob(self.log, plan, self._serve())
 
     def _serve(self) -> Served | None:
-        """Let GPUs compute for workers; return the format of the frames, or None without GPUs."""
+        """Let the GPUs compute for workers; return the frames' format, or None without GPUs."""
         if not self.pool.devices:
             return None
         given = self.settings.config, self.settings.options.batch_size, self.share.read

@@ -33,16 +33,16 @@ if TYPE_CHECKING:
     from jaxdet.io import Log
 
 _FEW, _MOST = 0.25, 0.75
-"""Maximum share of a sample's frames that show a floor if the camera is mounted turned, and minimum
-share that show one after the images are turned upright."""
+"""Maximum fraction of sampled frames with a floor at which other mountings of the camera are tried,
+and minimum fraction of frames that must show the floor of another mounting."""
 _TURNS = (2, 1, 3)
-"""Numbers of quarter turns of cameras that are mounted upside down, and on either side."""
+"""Quarter turns of the images of cameras that are mounted upside down (2) or on a side (1, 3)."""
 _PARALLEL_RAD = math.radians(3.0)
 """Maximum difference in pitch and roll between floors that count as parallel [rad]."""
 _LOW_M = 1.0
-"""Maximum distance to a plane above the camera for the camera to count as upside down [m]."""
+"""Maximum height of a camera that counts as upside down; a farther plane may be a ceiling [m]."""
 MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
-"""Range of camera heights that are accepted from TF [m]; a base frame in the camera gives 0."""
+"""Range of camera heights accepted from TF [m]; a base frame at the camera would give 0."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class GroundRecord:
     """Floor prior of a log or of a time window, and the prior's source, for the summary."""
 
     source: str
-    """``flags``, ``tf``, ``estimate`` or ``none``."""
+    """Source of the prior: ``flags``, ``tf``, ``estimate`` or ``none``."""
     window_start_ns: int | None = None
     """First stamp of the time window; None for the whole log."""
     height_m: float | None = None
@@ -73,12 +73,12 @@ class Planes:
     """Length of the windows; 0 for the whole log."""
     warnings: tuple[str, ...] = ()
     otherwise: GroundPlane = field(default_factory=lambda: unknown_plane(1), repr=False)
-    """Plane of frames in no window, ``B = 1``."""
+    """Plane for frames outside of all windows, ``B = 1``."""
     otherwise_source: str = "none"
     """Source of the plane :attr:`otherwise`."""
 
     def of(self, stamp_ns: np.ndarray) -> GroundPlane:
-        """Return the planes of frames with these stamps ``(B,)`` int64."""
+        """Return the floor priors of frames, by their timestamps ``(B,)`` int64 [ns]."""
         if not self.window_ns:
             return repeat_plane(self.windows[0], stamp_ns.size)
         keys = (stamp_ns // self.window_ns).tolist()
@@ -86,10 +86,10 @@ class Planes:
         return join_planes(each)
 
     def sources(self, stamp_ns: np.ndarray) -> list[str]:
-        """Return the sources of the planes of frames with these stamps.
+        """Return the source of each frame's prior, by the timestamps ``(B,)`` int64 [ns].
 
-        These are ``flags``, ``tf``, ``log`` (an estimate from frames of the whole log), ``window``
-        (from those of the frame's time window) or ``none``.
+        Sources are ``flags``, ``tf``, ``log`` (an estimate from frames of the whole log),
+        ``window`` (an estimate from frames of the same time window) and ``none``.
         """
         if not self.window_ns:
             return [_word(self.records[0], "log")] * stamp_ns.size
@@ -116,17 +116,17 @@ def decide_planes(
 ) -> Planes:
     """Return the priors of a log's floors.
 
-    The median of the floors that a sample of frames show takes the place of the prior from flags
-    or, if there are none, from TF. Without either it is only used for a camera that keeps its place
-    on the robot, see :class:`jaxdet.floor.sampled.SampledFloor`; otherwise the floor of each frame
-    is searched without a prior. Samples are spread evenly over all frames of the log, or of each
-    time window with a frame that is read, so that the prior of a frame doesn't depend on which
-    others are read.
+    The median floor of a sample of frames replaces the prior from flags or, if no flags are set,
+    from TF. Without flags and TF, the median is only used if the camera keeps its place on the
+    robot, see :class:`jaxdet.floor.sampled.SampledFloor`; otherwise the floor of each frame is
+    searched without a prior. Samples are spread evenly over all frames of the log, or of each time
+    window with a frame that is read, so that the prior of a frame doesn't depend on which other
+    frames are read.
 
     Args:
         log: An open log.
-        config: ``config.ground`` selects the source, and the length of time windows with samples
-            of their own.
+        config: ``config.ground`` has the source, and the length of the time windows that have
+            their own samples.
         backend: Backend that finds the floors.
         frames: Numbers of the frames that need a prior; by default all that are read.
         at_once: Maximum number of frames of a sample in memory at a time; by default all.
@@ -139,7 +139,9 @@ def decide_planes(
         InputError: ``ground.source`` is tf and the log has no usable transform.
     """
     if config.ground.source == "none":
-        return Planes((GroundRecord("none", message="asked for"),), {0: unknown_plane(1)})
+        return Planes(
+            (GroundRecord("none", message="ground.source is none"),), {0: unknown_plane(1)}
+        )
     first, plane, warnings = _stated(log, config.ground)
     samples = _Samples(log, config, backend, at_once, alive)
     records, windows = [], {}
@@ -218,7 +220,7 @@ def _plane_from_tf(log: "Log") -> tuple[GroundPlane | None, str]:
 
 
 class _Samples(NamedTuple):
-    """Floors of samples of a log; attributes are the arguments of :func:`decide_planes`."""
+    """Floor search in samples of a log's frames; fields are arguments of :func:`decide_planes`."""
 
     log: "Log"
     config: Config
@@ -285,8 +287,8 @@ def _raised_prior(
 ) -> tuple[GroundRecord, GroundPlane, str] | None:
     """Return the prior of a robot whose base frame is above the floor, and a warning.
 
-    None is returned unless the images show a floor below the one of TF and parallel to it: a plane
-    above it, or of another direction, may be a table, a platform or a wall.
+    None is returned unless the images show a floor below the floor of TF and parallel to it; a
+    higher or tilted plane may be a table, a platform or a wall.
 
     Args:
         found: Floor of the sample, searched without a prior.
@@ -314,9 +316,9 @@ def _turned_prior(
 ) -> tuple[GroundRecord, GroundPlane, str]:
     """Return the prior of a camera that may be turned, and a warning or an empty text.
 
-    A camera whose images, turned over, show a near floor is taken as upside down; a far one may be
-    the ceiling above an upright camera. For a camera on its side the warning only names the flags,
-    since a wall may look like its floor.
+    If images turned by 180° show a near floor, the camera is taken to be upside down; a far plane
+    may be the ceiling above an upright camera. For a camera on its side the warning only names the
+    flags, since a wall may look like a floor in turned images.
 
     Args:
         each: Floors of the sample for each of :data:`_TURNS`.

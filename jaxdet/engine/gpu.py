@@ -9,8 +9,8 @@ Workers decode images into slots of memory that they share with this process::
                                                             |
     worker 1 ...  rows < results in the slot <---Reply------+
 
-Pieces of any workers form a batch, in any order. Frames don't depend on each other, so the way
-pieces form batches changes no result.
+A batch holds pieces of any workers, in any order. Frames don't depend on each other, so results
+don't depend on which pieces are in a batch.
 """
 
 import threading
@@ -57,7 +57,7 @@ def served_for(
         config: The method's parameters.
         batch_size: Number of frames computed together; by default those of :data:`BATCH_PIECES`
             slots.
-        piece_frames: Maximum number of frames in a slot that fit into the memory.
+        piece_frames: Maximum number of frames in a slot, by the memory for images.
         workers: Number of workers.
     """
     depth, color = log.depth_shape, None
@@ -73,8 +73,8 @@ def served_for(
 def result_types(served: Served) -> Any:
     """Return the types and shapes of a frame's results, for :attr:`Served.results`.
 
-    They are those of the reference for an image without depth, which takes less time than compiling
-    the program.
+    The reference computes them for an image without depth, which takes less time than compiling the
+    program.
     """
     depth = np.zeros((1, *served.depth), np.uint16)
     color = [np.zeros((1, *served.color), np.uint8)] if served.color else []
@@ -99,15 +99,15 @@ class Batch:
     copied: "Future[tuple[list[Any], float]]"
     """Images on the device, and the time of copying them [s]."""
     begin: float = 0.0
-    """Time at which it was started, by ``time.perf_counter`` [s]."""
+    """Time at which computing began, by ``time.perf_counter`` [s]."""
     packed: Any = None
-    """Its results on the device, see :func:`_pack`."""
+    """Results on the device, see :func:`_pack`."""
     ready: "Future[float] | None" = None
-    """Time at which its results were ready, by ``time.perf_counter`` [s]."""
+    """Time at which the results were ready, by ``time.perf_counter`` [s]."""
 
 
 class Gpu:
-    """A GPU: a batch of pieces is copied to it while another one is computed.
+    """A GPU, to which a batch of pieces is copied while the previous batch is computed.
 
     Args:
         memory: Memory of images and results.
@@ -126,7 +126,7 @@ class Gpu:
         self._watch = ThreadPoolExecutor(1, "jaxdet-watch")
         self._ready = 0.0
         """Time when the last batch was computed, by ``time.perf_counter`` [s]."""
-        # A gigabyte of pages is made and locked while the program is traced and loaded.
+        # A gigabyte is allocated and page-locked while the program is traced and loaded.
         self._copier = ThreadPoolExecutor(1, "jaxdet-copier")
         self._locked = self._copier.submit(memory.page_lock, device)
 
@@ -222,7 +222,7 @@ class GpuThreads:
         self.memory = SlotMemory(wanted._replace(results=result_types(wanted)))
         self.woken, self.waker = Pipe(duplex=False)
         self.ends = [*pipes, self.woken]
-        """Connections that are read; those of workers that have died are removed."""
+        """Connections that are read; connections to workers that have died are removed."""
         self.receiving, self.sending = threading.Lock(), threading.Lock()
         """Held while pieces are received, or a reply is sent, by one of the threads."""
         given: dict[str, Any] = {"target": self._compute, "name": "jaxdet-gpu", "daemon": True}
@@ -268,7 +268,7 @@ class GpuThreads:
             except Exception as error:
                 batches = [batch.pieces for batch in (computing, copying) if batch]
                 left.extendleft(reversed([*chain(*batches), *new]))
-                copied = copying = computing = None  # their images leave the device
+                copied = copying = computing = None  # frees their images on the device
                 if gpu:
                     gpu.close()
                 gpu = None

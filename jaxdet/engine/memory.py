@@ -2,8 +2,8 @@
 
 Each process needs memory for libraries and programs, measured with frames of 640x480. The processes
 share the rest. One part of it is for chunks of the log, which limits the size of chunks that a file
-may have; the other part is for images. So the memory determines the number of processes, and how
-many frames they compute together. Neither changes a byte of the two tables.
+may have; the other part is for images. So the memory determines the number of processes, and the
+number of frames computed together. Neither changes the tables of frames and obstacles.
 
 All figures are resident memory; pages that processes share count once.
 """
@@ -70,7 +70,7 @@ class Memory:
         workers: Number of processes that fit, at most the argument ``workers``.
         chunks: Memory for chunks in each process [bytes].
         reading: Limits for reading a log.
-        room: Memory in addition to that of libraries and programs [bytes].
+        room: Memory that libraries and programs leave for everything else [bytes].
         apart: Whether a single worker runs in addition to this process, not instead of it.
 
     Raises:
@@ -133,7 +133,7 @@ class Memory:
         """
         for count in range(min(workers, self.workers), 0, -1):
             left = self._left(count) - self.chunks
-            # If there are workers, a copy of the index is made to be sent to them.
+            # If there are workers, this process also holds the pickled index that it sends.
             left -= (index * (count + 1 + (count > 1)) + rows) // count
             size = batch
             while size and BATCHES_IN_FLIGHT * size * frame > left:

@@ -1,4 +1,4 @@
-"""Output folder of a run: logs that are done, and staging folders for the others."""
+"""Output folder of a run: folders of logs that are done, and staging folders of other logs."""
 
 import logging
 import os
@@ -44,8 +44,8 @@ class OutputFolder:
         options: Options of the run, of which ``overwrite`` and ``update`` are used.
 
     Attributes:
-        staging: Folder for results that are not complete.
-        taken_over: Whether the last run was killed, as it did not release its lock.
+        staging: Folder for results that are not complete yet.
+        taken_over: Whether the previous run was killed, so that its lock was still there.
 
     Raises:
         ConfigError: Another run works in the folder, or it is a file.
@@ -89,8 +89,8 @@ class OutputFolder:
         Raises:
             ResultsError: There are results of another configuration or version, or of a log that
                 was changed later.
-            ConfigError: Something else is in the place of a log's folder, or two logs would have
-                the same folder.
+            ConfigError: The path of a log's folder holds something else, or two logs would have the
+                same folder.
             InputError: Results can't be read.
         """
         _check_names(logs)
@@ -187,7 +187,7 @@ class OutputFolder:
         try:
             files = read_manifest(folder)["files"]
         except InputError:
-            return  # it is of another version or changed, and doesn't list the files of results
+            return  # a manifest of another version, or a changed one, doesn't list the files
         found = (p.relative_to(folder).as_posix() for p in folder.rglob("*") if not p.is_dir())
         if other := next((name for name in sorted(found) if name not in {*files, MANIFEST}), None):
             self._refuse(folder / other, "is not a file of the results that are replaced")

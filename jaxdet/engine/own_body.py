@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from jaxdet.results.tables import Tables
 
 _FRAMES, _FEWEST = 32, 8
+"""Maximum number of frames in a sample, and minimum number of them that must be readable."""
 _MAX_BYTES = 128 << 20
 """Maximum size of the depth images in memory [byte]."""
 NEAR_M, ABOVE_M = 1.0, 0.04
@@ -29,7 +30,7 @@ _SHARE = 0.9
 _BAND_M, _BAND = 0.012, 0.04
 """Tolerance for equal depths [m], and as a fraction of the depth; the larger one is used."""
 _MOVING = 0.25
-"""Minimum fraction of the other pixels above the floor that change while the camera moves."""
+"""Minimum fraction of the other pixels above the floor whose depth changes if the camera moves."""
 _SMALLEST, _MARGIN = 0.001, 0.008
 """Minimum fraction of the pixels in a part, and its margin as a fraction of the image width."""
 
@@ -37,8 +38,8 @@ _SMALLEST, _MARGIN = 0.001, 0.008
 def find_own_body(log: "Log", config: Config, planes: Planes) -> np.ndarray:
     """Return the pixels of a log's depth images that show the robot itself.
 
-    Parts of the robot have the same depth in all frames of a sample. On a straight path, floors,
-    ceilings and walls do too, so only near pixels above the floor count.
+    Parts of the robot have the same depth in all frames of a sample. So do floors, ceilings and
+    walls if the robot drives straight; only near pixels above the floor count.
 
     Args:
         log: An open log of a camera that moves.
@@ -77,8 +78,8 @@ def own_body_note(
 ) -> str:
     """Return a note on parts of the robot in the images, with the commands that mask them.
 
-    The result is empty if there are none. The images are examined only if nearly all frames have a
-    near obstacle.
+    The note is empty if no parts are visible. The images are examined only if nearly all frames
+    have a near obstacle.
 
     Args:
         log: An open log.
@@ -96,7 +97,7 @@ def own_body_note(
         return ""
     try:
         share = find_own_body(log, config, planes).mean()
-    except JaxdetError:  # for example because the camera keeps still
+    except JaxdetError:  # for example because the camera does not move
         return ""
     camera = f" --camera {log.camera}" if log.label != log.name else ""
     command = printable(f"jaxdet info {path}{camera} --suggest-mask mask.png")
@@ -114,7 +115,9 @@ def _floor(frames: Frames, config: Config, planes: Planes) -> GroundPlane:
 
 
 def _steady(depth: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the median depth of each pixel, 0 if it has none, and whether its depth is constant.
+    """Return the median depth of each pixel and whether its depth is constant.
+
+    The median is 0 if the pixel has no depth in half of the frames or more.
 
     Args:
         depth: Depth images ``(n, H, W)`` uint16 [depth units], 0 = no measurement.

@@ -1,8 +1,8 @@
-"""Placement: the processes that work on each log. It changes no byte of the tables.
+"""Placement: choice of the processes that work on each log. It does not change the tables.
 
-Workers take as long to start as a process to finish a few hundred frames. If all workers share a
-log, most wait while it is opened, its floor is estimated and its tables are written: half a second,
-in which sixteen cores could process a thousand frames. So each process does the following:
+Starting workers takes as long as processing a few hundred frames. If all workers share a log, most
+of them wait while one process opens it, estimates its floor and writes its tables: half a second,
+in which sixteen cores could process a thousand frames. So these rules assign processes to logs:
 
 ======================================================  ==========================================
 Logs                                                    Processes
@@ -10,8 +10,8 @@ Logs                                                    Processes
 few bytes together, or one log of few frames            this process alone, if no workers run yet
 many logs, except the largest                           each log by one worker, one after the other
 the largest logs; a single log                          all workers share the frames of a log
-the first log of each camera on GPUs, which compute     all workers; then those of the same camera
-for one camera at a time                                by one worker each
+the first log of each camera on GPUs, which compute     all workers; then the camera's other logs,
+for one camera at a time                                each by one worker
 logs that need more than a worker's share of memory     fewer workers, or this process alone
 logs of a run after one that was killed                 workers, even a single one: a log may have
                                                         killed it
@@ -56,7 +56,7 @@ free floor, parts of which are in memory twice [bytes]."""
 
 
 class Share(NamedTuple):
-    """Placement of an open log's frames."""
+    """Number of processes and batch sizes for an open log."""
 
     workers: int
     """Number of processes that share the frames."""
@@ -69,7 +69,7 @@ class Share(NamedTuple):
 
 
 class OtherCameraError(Exception):
-    """GPUs compute for another camera than that of a log."""
+    """The GPUs currently compute for a camera other than that of a log."""
 
     def __init__(self, calibration: Calibration) -> None:
         super().__init__(calibration)
@@ -104,7 +104,7 @@ class Machine:
 
     @property
     def waits_for_workers(self) -> bool:
-        """Whether workers would have to be started, without a request, a GPU or a killed run."""
+        """Whether no workers run yet, and neither ``--workers`` nor a GPU requires them."""
         pool = self.pool
         return not (self.settings.options.workers or pool.devices or pool.started)
 
@@ -123,14 +123,14 @@ class Machine:
         plan = memory_plan(self.settings, log, memory, 1 if few else memory.workers)
         self.batch = max(self.batch, plan.batch)
         here = plan.workers == 1 and not apart
-        self.pool.resize(plan.workers)  # this process may need the memory of others
+        self.pool.resize(plan.workers)  # frees the memory of workers, which this process may need
         return Share(*plan, plan.batch, here)
 
 
 def share_of_worker(
     settings: RunSettings, log: "Log", memory: Memory, served: "Served | None"
 ) -> Share:
-    """Return the placement of a log that a worker has opened, while others work on other logs.
+    """Return the placement of a log that one worker processes while other workers have other logs.
 
     Raises:
         MemoryError: The log needs more memory than this worker's share.
@@ -158,16 +158,16 @@ def logs_for_workers(logs: Mapping[str, "LogFiles"], machine: Machine) -> list[s
 
 
 def _size(path: Path) -> int:
-    """Return the size of a file, or of a folder's files [bytes]; 0 where it can't be read."""
+    """Return the size of a file, or of a folder's files [bytes]; 0 if it can't be read."""
     with suppress(OSError):
         return fingerprint(path).get("size", 0) if path.is_dir() else path.stat().st_size
     return 0
 
 
 def smallest_logs(sizes: Mapping[str, int], workers: int) -> set[str]:
-    """Return the smallest logs, as many as single workers can process until all logs are done.
+    """Return the smallest logs, each to be processed by one worker before all share the others.
 
-    If all workers share the other logs afterwards, all logs are done soonest.
+    Their number minimizes the estimated time until all logs are done.
 
     Args:
         sizes: Size of each log, by its name [bytes].
@@ -188,7 +188,7 @@ def smallest_logs(sizes: Mapping[str, int], workers: int) -> set[str]:
 def memory_plan(
     settings: RunSettings, log: "Log", memory: Memory, workers: int, packing: int = 1
 ) -> MemoryPlan:
-    """Return how many processes, and how many frames per batch, fit into the memory.
+    """Return the numbers of processes and of frames per batch that fit into the memory.
 
     Args:
         settings: Settings of the run.
@@ -208,7 +208,7 @@ def memory_plan(
 
 
 def _color_bytes(settings: RunSettings, log: "Log", batch: int) -> int:
-    """Return the memory of colour images per frame in memory [bytes].
+    """Return the average memory of colour images per frame that is in memory [bytes].
 
     With the preset ``paper`` all frames have a colour image, otherwise only the frames of batches
     that contain a frame to draw.

@@ -10,11 +10,11 @@ from jaxdet.engine.floors import Planes
 from jaxdet.engine.settings import RunSettings
 
 UNIT_FRAMES = 256
-"""Maximum number of frames in a unit; neighbouring frames are taken, as they share chunks."""
+"""Maximum number of frames in a unit; they are consecutive, as neighbours share chunks."""
 
 
 class LogPlan(NamedTuple):
-    """Plan of a log, which holds for all its units; they don't depend on each other."""
+    """Plan of a log, shared by all its units, which don't depend on each other."""
 
     settings: RunSettings
     batch_size: int
@@ -31,7 +31,7 @@ class LogPlan(NamedTuple):
 
 
 class Unit(NamedTuple):
-    """Range of frames of a log; one process works on those of its frames that are selected."""
+    """Range of frames of a log, of which one process works on the selected frames."""
 
     number: int
     start: int
@@ -39,7 +39,7 @@ class Unit(NamedTuple):
     """Number of the last frame plus 1."""
 
     def where(self, label: str) -> str:
-        """Return a text that names the frames and, by its ``label``, the log."""
+        """Return a text with the log's ``label`` and the range of frames, for messages."""
         first, last = self.start, self.stop - 1
         return f"{label}, " + (f"frames {first} to {last}" if last > first else f"frame {last}")
 
@@ -47,7 +47,7 @@ class Unit(NamedTuple):
 def divide(frames: range, batch: int, workers: int, most: int = UNIT_FRAMES) -> list[Unit]:
     """Divide the frames of a log into units, in order.
 
-    At the log's end units are smaller, so that all workers finish at about the same time.
+    The last units are smaller, so that all workers finish at about the same time.
 
     Args:
         frames: Numbers of the frames.
@@ -92,7 +92,7 @@ class UnitQueue:
         self._runs = []
 
     def take(self, worker: int) -> Unit:
-        """Return the next unit for the worker of this number; the queue may not be empty."""
+        """Return the next unit for the worker of this number; the queue must not be empty."""
         runs = next(runs for runs in self._runs if any(runs))
         own, longest = runs[worker], max(runs, key=len)
         if not own:

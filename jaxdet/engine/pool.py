@@ -33,11 +33,11 @@ LOADED = [
 ]
 LOADED_TO_COMPUTE = ["jaxdet.stages._detect", "jaxdet.stages.paper._detect"]
 """Modules that the fork server loads once for all workers, including modules that pyarrow and the
-decoders would load later; no module may start a thread or Warp."""
+decoders would load later; none of them may start a thread or Warp."""
 _LOOK_S = 1.0
 """Maximum time between two checks of all workers [s]."""
 _ENDING_S = 0.5
-"""Time after which a fork server that was killed has ended, so that a new one is started [s]."""
+"""Time in which a killed fork server ends, before a new one is started [s]."""
 _SHORT_TMPDIR = "set TMPDIR to a folder with a short name and room, for instance /tmp"
 _AGAIN = "its fork server may have been killed; run the same command again"
 _ENDED_EARLY = "its own message is above; a script needs: if __name__ == '__main__'"
@@ -48,7 +48,7 @@ def gpus() -> tuple[Any, ...]:
     if not may_use_gpus():
         return ()
     if start_cuda():
-        _start_server(LOADED)  # while JAX looks for them
+        _start_server(LOADED)  # loads its modules while JAX looks for GPUs
     start_up()
     import jax
 
@@ -99,7 +99,7 @@ class TaskQueue:
         return len(self._left)
 
     def take(self, worker: int) -> Any:
-        """Return the next task for the worker of this number; the queue may not be empty."""
+        """Return the next task for the worker of this number; the queue must not be empty."""
         return self._left.popleft()
 
     def put_back(self, tasks: Iterable[Any]) -> None:
@@ -114,7 +114,7 @@ class Pool:
     and this process computes for all of them, see :mod:`jaxdet.engine.gpu`.
 
     Workers start when they are first needed and stay for the next log. On Linux and macOS they are
-    forked from a server that has loaded JAX and Warp once; elsewhere each worker loads them. If a
+    forked from a server that has loaded JAX and Warp once; elsewhere each worker loads both. If a
     worker dies or makes no progress, all workers are ended; they start again with the next task.
 
     Args:
@@ -131,7 +131,7 @@ class Pool:
         self._context: Any = multiprocessing.get_context(_start_method())
         self._workers: list[Worker] = []
         self._early = 0
-        """Number of tasks whose workers died during their start since any worker last answered."""
+        """Number of workers with tasks that died during their start since the last answer."""
         self._ended, self._started = threading.Event(), threading.Event()
 
     def __enter__(self) -> "Pool":
@@ -165,9 +165,9 @@ class Pool:
                 Worker(self._context, self._backend, end) for end in ends or [None] * self.count
             ]
             self._ended, self._started = threading.Event(), threading.Event()
-            # A thread starts them, as the fork server takes a while to load its modules, and so
-            # that no signal leaves a process half started. It is never joined, because a Ctrl-C
-            # while Python joins a thread marks the thread as ended.
+            # A thread starts the workers, as the fork server takes a while to load its modules, and
+            # so that no signal leaves a process half started. The thread is never joined, because a
+            # Ctrl-C while Python joins a thread marks the thread as ended.
             given = self._workers, self._ended, self._started
             threading.Thread(target=_wake, args=given, name="jaxdet-pool", daemon=True).start()
 
@@ -243,7 +243,7 @@ class Pool:
     def each(
         self, job: Job, tasks: TaskQueue | UnitQueue
     ) -> Generator[tuple[Any, Any], None, None]:
-        """Yield tasks with their answers, as they come.
+        """Yield tasks with their answers, in the order in which workers answer.
 
         Args:
             job: Job of the tasks.
@@ -343,10 +343,10 @@ def _wake(workers: list[Worker], ended: threading.Event, awake: threading.Event)
 
 @contextmanager
 def _stops_kept_from_processes() -> Iterator[None]:
-    """Hold back signals that end a run, and start processes that never get one from a terminal.
+    """Hold back signals that end a run; processes started meanwhile never get them from a terminal.
 
-    The processes inherit the signal mask. As another thread may still take the signal, a handler
-    holds it back too.
+    These processes inherit the signal mask. As another thread of this process may still get a
+    signal, a handler holds it back too.
     """
     if (
         not hasattr(signal, "pthread_sigmask")
@@ -354,7 +354,7 @@ def _stops_kept_from_processes() -> Iterator[None]:
     ):
         yield
         return
-    resource_tracker.ensure_running()  # its start resets the mask, so it must run before
+    resource_tracker.ensure_running()  # starting it later would reset the mask
     with stops_held_back():
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
         try:

@@ -1,4 +1,4 @@
-"""Processing of a log, from its files to the folder of its results, also by a single worker."""
+"""Processing of a log, from its files to the folder of its results, by one or more processes."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -70,7 +70,7 @@ def process_log(
         host: The current process.
 
     Returns:
-        Summaries of its cameras.
+        Summaries of the log's cameras.
 
     Raises:
         OutputError: The disk is full or broken, or there is no memory for the rows.
@@ -163,14 +163,15 @@ class CameraRun:
 
     def __post_init__(self) -> None:
         self.part = camera_name(self.camera) if self.camera else ""
-        """Part of the names of its files if the log has several cameras."""
+        """Camera's part of file names if the log has several cameras."""
         self.scratch = self.folder.with_name(f"{self.folder.name}~{self.part}.rows")
         self.memory = self.host.memory
         self._begin()
 
     def _begin(self) -> None:
         """Begin with an empty summary and no rows."""
-        paths = (str(path.absolute()) for path in self.files.paths)  # export and verify find them
+        # Paths are absolute, so that export and verify find the files from any folder.
+        paths = (str(path.absolute()) for path in self.files.paths)
         self.about = LogSummary(self.files.name, tuple(paths))
         self.about.file_name = export_name(self.files.name, self.camera)
         self.assembly = Assembly(self.scratch, self.about)
@@ -213,7 +214,7 @@ class CameraRun:
         self.about.error = text
 
     def _run_with_retries(self, options: "LogOptions") -> None:
-        """Run; retry by scanning if the index is wrong, with fewer workers if chunks are large."""
+        """Process the log; scan it if its index is wrong, use fewer workers if chunks are large."""
         while True:
             try:
                 label = ", ".join(filter(None, (self.files.name, self.camera)))
@@ -235,7 +236,7 @@ class CameraRun:
             self._begin()
 
     def _check_unchanged(self) -> None:
-        """Check that the files are those whose fingerprints the manifest has.
+        """Check that the files still have the fingerprints that the manifest will list.
 
         Raises:
             InputError: A file was changed or can't be read.
@@ -281,7 +282,7 @@ class CameraRun:
         about.warnings += filter(None, own)
 
     def _plan(self, log: "Log", batch: int, planes: Planes) -> LogPlan:
-        """Return the plan of the log, with ``batch`` frames at a time."""
+        """Return the plan of the log, with ``batch`` frames per batch."""
         count = self.settings.options.pictures
         drawn = evenly(np.array(log.frames), count) if count else np.zeros(0, int)
         return LogPlan(
@@ -350,7 +351,7 @@ class CameraRun:
 
 
 class LogTask(NamedTuple):
-    """A log for a worker."""
+    """Task of a worker: one log."""
 
     files: "LogFiles"
     folder: Path
@@ -358,7 +359,7 @@ class LogTask(NamedTuple):
 
 
 class LogJob(NamedTuple):
-    """Job of whole logs; each worker processes one log at a time.
+    """Job whose tasks are logs; each worker processes one log at a time.
 
     If a worker can't process a log, the first process tries it again, and reports the error if that
     fails too.

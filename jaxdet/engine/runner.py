@@ -46,8 +46,8 @@ def run(
 ) -> Summary:
     """Find the obstacles in every frame of logs and write a folder of results for each.
 
-    Logs that are done already, with this configuration and version, are left as they are, so the
-    same call continues a run that was stopped. If a log fails, the others are still processed; the
+    Logs that are done already, with this configuration and version, are skipped, so the same call
+    continues a run that was stopped. If a log fails, the other logs are still processed; the
     summary lists it, and its folder holds ``failed.json`` in place of results.
 
     >>> summary = jaxdet.run("bags/", "results", "d435")          # doctest: +SKIP
@@ -125,12 +125,12 @@ class Runner:
             config: Configuration.
             log: Options of reading the logs.
             progress: Called after each unit and each log.
-            observers: They get each batch of every log; their results are in the log's summary.
+            observers: Called with each batch of a log; their results are in the log's summary.
             preset: Name of the preset that the configuration started from, for ``config.json``.
-            options: Options that differ from those of the runner; all but ``backend`` may.
+            options: Options that differ from those of the runner; ``backend`` must not differ.
 
         Raises:
-            ConfigError: As of :func:`jaxdet.run`, or the backend differs.
+            ConfigError: See :func:`jaxdet.run`; or the backend differs.
         """
         chosen = replace(self._options, **options)
         if chosen.backend != self._options.backend:
@@ -147,7 +147,7 @@ class Runner:
         """Write the results of one log into a new folder outside of any results folder.
 
         Args:
-            settings: Settings; their backend is that of this runner.
+            settings: Settings, with the backend of this runner.
             files: The log.
             folder: New folder for the results.
         """
@@ -176,7 +176,7 @@ def _check_outside(output: Path, logs: Sequence[LogFiles]) -> None:
     """Check that results are not written into a log that is a folder.
 
     Raises:
-        ConfigError: The output folder is in such a log.
+        ConfigError: The output folder is in the folder of a log.
     """
     place = output.resolve()
     for folder in (path for log in logs for path in log.paths if path.is_dir()):
@@ -193,8 +193,8 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
     Args:
         log_path: File of the log, or folder of the files of one recording.
         folder: New folder for the results; its parent exists. ``manifest.json`` is written last.
-        how: Plain values, all optional: fields of :class:`jaxdet.engine.RunOptions`, ``name`` (of
-            the log; by default from its path), ``preset``, ``config`` (sections of the
+        how: Plain values, all optional: fields of :class:`jaxdet.engine.RunOptions`, ``name`` (the
+            log's name; by default from its path), ``preset``, ``config`` (sections of the
             configuration as in ``config.json``), ``log`` (fields of :class:`jaxdet.LogOptions`)
             and ``about`` (more entries of the manifest, for instance ``fetched``, the address of
             the log's files). Other keys are ignored.

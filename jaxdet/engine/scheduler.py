@@ -1,4 +1,4 @@
-"""Order of the logs of a run, as :mod:`jaxdet.engine.placement` decides it."""
+"""Scheduling of the logs of a run, by the rules of :mod:`jaxdet.engine.placement`."""
 
 import logging
 import os
@@ -75,7 +75,7 @@ class Scheduler:
     """All logs of the run."""
     output: OutputFolder
     done: dict[str, list[LogSummary]]
-    """Summaries of the cameras of logs that are done, by the logs' names; logs are added."""
+    """Summaries of the cameras of each log that is done, by its name; :meth:`run` adds logs."""
     progress: ProgressCallback | None
 
     def __post_init__(self) -> None:
@@ -83,13 +83,13 @@ class Scheduler:
         self.numbers = {log.name: number for number, log in enumerate(self.logs)}
 
     def run(self, left: dict[str, LogFiles]) -> None:
-        """Process logs: small ones one per worker, then the others, each by all workers.
+        """Process small logs, each by a single worker, then the other logs, each by all workers.
 
-        GPUs compute for the camera of the last log that all workers shared. A worker that gets a
-        log of another camera only returns the camera, and the log waits until GPUs compute for it.
+        GPUs compute for the camera of the last log that all workers shared. If a worker gets a log
+        of another camera, it only returns that camera, and the log waits until GPUs compute for it.
         """
         cameras: dict[str, Calibration | None] = dict.fromkeys(logs_for_workers(left, self.machine))
-        """Logs for single workers, with their cameras; None until a worker has returned it."""
+        """Camera of each log for single workers, by log name; None until a worker returns it."""
         while left:
             ready = [left[name] for name, camera in cameras.items() if self._ready(camera)]
             for log, answer in self._by_workers(ready) if ready else ():
@@ -105,7 +105,7 @@ class Scheduler:
                 self._do_here(left.pop(name))
 
     def _ready(self, camera: Calibration | None) -> bool:
-        """Return whether a single worker can process a log now, whose camera may be unknown."""
+        """Return whether a single worker can process a log now; its camera may be unknown."""
         if not self.pool.devices:
             return True
         served = self.pool.serving
@@ -116,7 +116,7 @@ class Scheduler:
     def _by_workers(
         self, logs: Sequence[LogFiles]
     ) -> Iterator[tuple[LogFiles, list[LogSummary] | Calibration | None]]:
-        """Let each worker process whole logs; yield them with the answers of :class:`LogJob`."""
+        """Let each worker process complete logs; yield the logs with the answers of the workers."""
         self.pool.resize(self.machine.memory.workers)
         self.machine.workers = self.pool.count
         job = LogJob(self.settings, self.machine.memory, self.pool.serving)

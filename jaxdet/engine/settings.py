@@ -1,4 +1,4 @@
-"""Options of a run, functions that it calls, and the settings that all its logs share."""
+"""Options of a run, its callbacks, and the settings that all its logs share."""
 
 import pickle
 from collections.abc import Callable, Mapping, Sequence
@@ -72,7 +72,7 @@ class Progress(NamedTuple):
     """Progress of a run, passed to the progress callback before the first unit and after each."""
 
     log: str
-    """Name of the log, followed by that of the camera if the log has several."""
+    """Name of the log, followed by the camera's name if the log has several cameras."""
     log_number: int
     num_logs: int
     done: int
@@ -87,7 +87,7 @@ class Progress(NamedTuple):
     rates: Mapping[str, float] = MappingProxyType({})
     """Frames per second of each step if it were the only one."""
     doing: str = ""
-    """Description of the work before the first unit is done."""
+    """Current work, for instance ``opening``, until the first unit is done; then empty."""
     logs_done: int = 0
     """Number of logs that are done."""
     logs_failed: int = 0

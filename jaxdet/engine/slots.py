@@ -1,7 +1,7 @@
 """Memory in which workers and the threads of the main process exchange images and results.
 
-Each worker has a few slots: it decodes a piece of its unit into one of them while the pieces in the
-others are computed. The results of a piece are written to its slot.
+Each worker has :data:`SLOTS` slots: it decodes a piece of its unit into one slot while the pieces
+in its other slots are computed. The results of a piece are written to its slot.
 """
 
 import itertools
@@ -31,10 +31,10 @@ _numbers = itertools.count(1)
 
 
 class Piece(NamedTuple):
-    """Message of a worker: a slot with images to compute."""
+    """Message from a worker: a slot with images to compute, and the priors of their floors."""
 
     slot: int
-    """Number of the slot among those of all workers."""
+    """Number of the slot, counted over all workers."""
     plane: GroundPlane
 
 
@@ -63,7 +63,7 @@ class Slot(NamedTuple):
     """Depth images ``(n, Hd, Wd)`` uint16, and colour images ``(n, H, W, 3)`` uint8 if the method
     reads them."""
     results: np.ndarray
-    """``(n, ints)`` int32, see :meth:`Served.unpacked`."""
+    """Packed results, ``(n, ints)`` int32, see :meth:`Served.unpacked`."""
 
 
 class Served(NamedTuple):
@@ -86,10 +86,10 @@ class Served(NamedTuple):
     path: str = ""
     """Path by which other processes map the memory."""
     number: int = 0
-    """Number that identifies the memory, as a path is used again after memory is freed."""
+    """Number that identifies the memory, as its path may be used again after it is freed."""
     results: Any = None
-    """:class:`jaxdet.types.Detections` of the types of a frame's results, with shapes; None
-    until the memory exists."""
+    """Types and shapes of a frame's results, as :class:`jaxdet.types.Detections` of NumPy dtypes;
+    None until the memory exists."""
 
     @property
     def batch(self) -> int:
@@ -98,7 +98,7 @@ class Served(NamedTuple):
 
     @property
     def ints(self) -> int:
-        """Number of int32 per frame of results."""
+        """Number of int32 values in the packed results of a frame."""
         leaves: list[np.dtype] = []
         map_leaves(leaves.append, self.results)
         return sum(prod(leaf.shape) for leaf in leaves)
@@ -129,7 +129,7 @@ class Served(NamedTuple):
         return found
 
     def unpacked(self, rows: np.ndarray) -> Detections:
-        """Return the arrays in results ``(B, ints)``; only boolean ones are copied."""
+        """Return the detections in packed results ``(B, ints)``; only boolean arrays are copied."""
         start = 0
 
         def unpack(leaf: np.dtype) -> np.ndarray:

@@ -54,7 +54,7 @@ def cache_folders() -> Caches:
 
 
 def unsafe_caches() -> list[Path]:
-    """Return folders of the environment that are not used, as other users can write to them."""
+    """Return folders set in the environment that are not used, as other users can write there."""
     return [folder for folder in _chosen_folders() if folder and _is_unsafe(folder)]
 
 
@@ -103,7 +103,7 @@ def use_caches() -> Caches:
         jax.config.update("jax_compilation_cache_dir", str(folders.jax))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-        # Entries of a process that was killed may be damaged; they are compiled again.
+        # A killed process may leave damaged entries, whose programs JAX compiles again.
         warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     if folders.warp:
         os.environ["WARP_CACHE_PATH"] = str(folders.warp)  # read when Warp starts
@@ -111,7 +111,7 @@ def use_caches() -> Caches:
 
 
 def _remove_damaged(folder: Path) -> None:
-    """Remove programs that have changed since they were first found, as JAX would run them.
+    """Remove programs whose files have changed since a checksum was made, as JAX would run them.
 
     JAX keeps no checksums, so a folder next to this one holds a checksum file for each program.
     """
@@ -161,7 +161,7 @@ def computing() -> Iterator[None]:
 
 
 def _check_platforms() -> None:
-    """Add the CPU, which the stages need, to the platforms of JAX, and check the others."""
+    """Add the CPU, which the stages need, to JAX's platforms; check that a requested one exists."""
     asked = os.environ.get("JAX_PLATFORMS", "")
     if asked in ("", "cpu"):
         return
@@ -213,7 +213,7 @@ def _make_contexts() -> None:
 
 
 def start_reading() -> None:
-    """Prepare a process that reads images for another one that computes.
+    """Prepare a process that only reads images, for the main process, which computes.
 
     Warp, which decodes some images, may only use the CPU here: a CUDA context in each process would
     take memory of the GPU.
@@ -231,9 +231,9 @@ def use_warp_cache() -> None:
 
 
 def keep_memory() -> None:
-    """Make glibc keep the memory of freed arrays of up to 32 MiB for the next ones.
+    """Make glibc keep the memory of freed arrays of up to 32 MiB for later arrays.
 
-    Otherwise the system provides new pages for each array, which takes longer than computing it.
+    Otherwise the system provides new pages for each array, which takes longer than its computation.
     """
     with suppress(AttributeError, OSError, TypeError):  # another C library, another system
         libc = ctypes.CDLL(None)

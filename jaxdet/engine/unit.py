@@ -1,4 +1,4 @@
-"""Processing of a unit: a range of a log's frames is read, computed and converted to rows."""
+"""Processing of a unit, a range of frames: read images, find obstacles, make table rows."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -125,7 +125,7 @@ def lost_unit(
 
 
 class _ResultBuilder:
-    """Collects the batches of a unit and makes its rows together, as arrays of all frames."""
+    """Collects the batches of a unit, then makes the rows of all its frames at once."""
 
     def __init__(self, log: "Log", plan: LogPlan, unit: Unit) -> None:
         self.log, self.plan, self.unit = log, plan, unit
@@ -136,7 +136,7 @@ class _ResultBuilder:
         self.seen: dict[str, list[Any]] = {name: [] for name in plan.settings.observers}
 
     def add(self, batch: "Batch", found: Found) -> None:
-        """Add a batch, with the priors of its floors, and its detections."""
+        """Add a batch, which has floor priors, and its detections."""
         count, plane = len(batch.status), batch.frames.plane
         assert plane is not None
         plane = GroundPlane(*(part[:count] for part in plane))
@@ -200,9 +200,9 @@ class _ResultBuilder:
             yield name
 
     def _detect(self, frames: Frames) -> Detections:
-        """Return all detections of frames, not only those that rows are made of.
+        """Return the complete detections of frames, not only the inputs of rows.
 
-        This process computes them: GPUs return only what all frames need.
+        This process computes them, since GPUs of the main process return only the inputs of rows.
         """
         config, backend = self.plan.settings.config, self.plan.settings.options.backend
         with computing():

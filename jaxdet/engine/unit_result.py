@@ -28,7 +28,7 @@ class UnitResult(NamedTuple):
     """Temporary file with the unit's rows, see :meth:`jaxdet.results.tables.Tables.save`."""
     map: OccupancyMap
     errors: list[str]
-    """Frames that could not be used, with the reason."""
+    """Messages on frames that could not be used."""
     pictures: list[str]
     """Names of the unit's pictures in the log's folder."""
     seen: dict[str, list[Any]]
@@ -49,11 +49,11 @@ def rows_path(scratch: Path, unit: Unit) -> Path:
 
 
 class Assembly:
-    """Assembly of the results of a log's units, which arrive in any order, in frame order.
+    """Puts the results of a log's units, which arrive in any order, in the order of the frames.
 
     Args:
         scratch: Folder of temporary files, which :meth:`close` removes.
-        about: Summary of the log; :meth:`add` adds a unit's counts, :meth:`finish` the rest.
+        about: Summary of the log; :meth:`add` adds a unit's counts, :meth:`finish` completes it.
     """
 
     def __init__(self, scratch: Path, about: LogSummary) -> None:

@@ -1,7 +1,7 @@
 """Worker processes: the code that runs in them, and their handles in the process that starts them.
 
-A worker gets tasks one by one, and answers each. With the first task of a job it gets the job,
-which holds the data that its tasks share (an open log, for instance). It ends when its parent ends,
+A worker gets tasks one by one, and answers each. The first task of a job comes with the job, which
+holds the data that its tasks share (an open log, for instance). A worker ends when its parent ends,
 for any reason.
 """
 
@@ -60,7 +60,7 @@ class Failure(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """Answer to a task whose worker died, made no progress or ran out of memory."""
+    """Substitute for the answer to a task whose worker died, hung or ran out of memory."""
 
     status: FrameStatus
     """Status of the task's frames, which have no results."""
@@ -73,7 +73,7 @@ class Lost(NamedTuple):
 
 
 class _Answer(NamedTuple):
-    """Message from a worker."""
+    """Message from a worker: the answer to its oldest task."""
 
     value: Any
 
@@ -161,7 +161,7 @@ class Worker:
 
     @property
     def death(self) -> str:
-        """Text that says how the process ended."""
+        """Description of how the process ended, for errors."""
         code = self._exit_code()
         if code is None:
             return "a worker process can't be started"
@@ -208,7 +208,7 @@ class WorkerProcess:
                 self._pipe.send(_Answer(self._answer(task)))
 
     def _answer(self, task: Any) -> Any:
-        """Return the job's answer to a task, which opens the job if no earlier one could.
+        """Return the job's answer to a task; open the job first, unless it is open.
 
         If anything fails, the answer is a :class:`Failure`.
         """
@@ -246,7 +246,7 @@ class WorkerProcess:
 
 
 def _run_worker(backend: BackendName, pipe: Any, gpu_pipe: GpuPipe | None) -> None:
-    """Perform tasks until the parent ends this process, or ends."""
+    """Perform tasks until the parent kills this process or ends itself."""
     ignore_stops()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _prepare(backend, reads_only=gpu_pipe is not None)

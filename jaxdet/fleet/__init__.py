@@ -1,4 +1,4 @@
-"""Logs on many machines, with buckets, Ray or job arrays."""
+"""Runs over logs on many machines, with buckets, Ray or job arrays."""
 
 from jaxdet.fleet.command import run_fleet
 from jaxdet.fleet.logs import list_logs, share_of

@@ -1,6 +1,6 @@
-"""Runs of many logs, on this machine or as tasks of a Ray cluster: ``jaxdet run`` with ``--on``.
+"""Runs of many logs, on this machine or as tasks of a Ray cluster.
 
-Addresses of buckets and ``--share`` come here too.
+``jaxdet run`` calls this module if ``--on``, ``--share`` or an address of a bucket is given.
 """
 
 import os
@@ -21,13 +21,14 @@ from jaxdet.fleet.run_log import prepare, run_logs
 from jaxdet.memory import size_text
 
 _PER_SLOT = 4
-"""Number of Ray tasks in flight per slot of the cluster, so that no slot waits for the driver, and
-autoscalers see demand."""
+"""Ray tasks in flight per slot, so that no slot waits for the driver, and autoscalers see demand."""
 _LEAST_WINDOW = 32
+"""Minimum number of tasks in flight."""
 _MOST_LOGS = 8
 """Maximum number of logs in a Ray task; the next log is fetched while one is computed."""
 _PARTS = 16
-"""A Ray task has at most 1 / _PARTS of a slot's share of all bytes."""
+"""Divisor of a slot's share of all bytes; the quotient limits the size of Ray tasks of several
+logs."""
 
 
 def run_fleet(
@@ -47,7 +48,7 @@ def run_fleet(
         output: Address of the results.
         how: See :func:`jaxdet.fleet.run_log`.
         on: ``ray`` for a Ray cluster; by default this machine.
-        share: ``K/N`` for only the logs of the K-th of N shares.
+        share: ``K/N`` to run only the logs of the K-th of N shares; by default all logs.
         join: See :func:`jaxdet.find_logs`.
         progress: Called after each log.
 
@@ -84,22 +85,22 @@ def run_fleet(
 def run_on_ray(
     logs: Sequence[Log], place: str, how: Mapping[str, Any], where: str = "ray"
 ) -> Iterator[dict[str, Any]]:
-    """Run logs on the cluster of ``RAY_ADDRESS``, or on a local one; yield outcomes as they come.
+    """Run logs on the Ray cluster of ``RAY_ADDRESS``, or a local one; yield outcomes as they come.
 
     Logs run in tasks, not actors, so that a retry can run on any node; worker processes are reused,
-    so that a program is compiled once per process (``max_calls=0``). Ray repeats a task whose
-    process or node is lost without a limit, as :func:`jaxdet.fleet.run_log` limits the attempts.
+    so that a program is compiled once per process (``max_calls=0``). If a process or node is lost,
+    Ray repeats its task without a limit; :func:`jaxdet.fleet.run_log` limits the attempts.
 
     Args:
         logs: The logs.
         place: Address of the results.
         how: As returned by :func:`jaxdet.fleet.prepare`.
-        where: ``ray``, or with the resources of a task ``ray:num_cpus=16,num_gpus=1``; by default
-            those of the smallest node that computes, so that each node has one task.
+        where: ``ray``, or ``ray:num_cpus=16,num_gpus=1`` with the resources of a task; by default
+            the resources of the smallest node that computes, so that each node has one task.
 
     Raises:
         ConfigError: Ray is not installed, or ``where`` is wrong.
-        JaxdetError: A task failed for another reason than its log; other tasks are cancelled.
+        JaxdetError: A task failed, but not because of its log; other tasks are cancelled.
         WorkerError: The cluster is lost.
     """
     try:
@@ -153,7 +154,7 @@ def _task(logs: Sequence[Log], place: str, how: Mapping[str, Any]) -> list[dict[
 
 
 def chunks(logs: Sequence[Log], slots: int) -> list[list[Log]]:
-    """Divide logs into tasks, largest first; a task has few logs, and fewer if they are large."""
+    """Divide logs into tasks, largest logs first; the number and bytes per task are limited."""
     most = sum(map(size_of, logs)) / (max(1, slots) * _PARTS)
     found: list[list[Log]] = []
     room = 0.0
@@ -190,7 +191,7 @@ def _of_a_node(nodes: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def _slots(ray: Any, resources: Mapping[str, float]) -> int:
-    """Return how many tasks the cluster can run at a time."""
+    """Return the number of tasks that the cluster can run at a time."""
     total = ray.cluster_resources()
     names = {"CPU": resources["num_cpus"], "GPU": resources.get("num_gpus", 0.0)}
     return int(min(total.get(name, 0.0) // each for name, each in names.items() if each))

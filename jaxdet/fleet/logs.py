@@ -60,7 +60,8 @@ def size_of(log: Log) -> int:
 def entries_of(log: Log) -> list[Entry]:
     """Return the files of a log, without empty fields of their tags.
 
-    An engine that keeps the files of all logs in one table gives their tags the same fields.
+    Fields may be empty if the files of all logs were in one table, which has the same columns for
+    all tags.
     """
     return [
         Entry(file["key"], int(file["size"]), {k: v for k, v in file["tag"].items() if v})
@@ -119,7 +120,7 @@ def _in_bucket(url: str, join: bool) -> list[Log]:
 
 
 def _one_object(url: str) -> Log | None:
-    """Return the log of an address that is an object, not a prefix."""
+    """Return the log at an address that is an object, not a prefix; None if there is no log."""
     from jaxdet.io.files import SUFFIXES
 
     folder, _, name = url.rpartition("/")
@@ -130,7 +131,7 @@ def _one_object(url: str) -> Log | None:
 
 
 def _members(place: Place, key: str, entries: dict[str, Entry]) -> list[str]:
-    """Return the files that a ``metadata.yaml`` lists, if all of them are there."""
+    """Return the files that a ``metadata.yaml`` lists; empty if one of the files is missing."""
     found = place.get(key)
     folder = PurePosixPath(key).parent
     names = _MEMBER.findall(found[0].decode(errors="replace")) if found else []

@@ -1,9 +1,9 @@
 """Places for logs and results: a folder, or a prefix of a bucket in S3, Google Cloud or Azure.
 
 A :class:`Folder` and a :class:`Bucket` have the same methods. Two methods decide races: ``create``
-writes a file only if there is none, ``swap`` only if it is still the one that was read. Credentials
-come from the environment, by the names that the services' own programs use. An address with
-credentials is refused, so that none get into a file, a log line or an error.
+writes a file only if none exists, ``swap`` only if the file is unchanged since it was read.
+Credentials come from the environment variables that the services' own programs use. An address with
+credentials is refused, so that no credentials get into a file, a log line or an error.
 """
 
 import fcntl
@@ -32,7 +32,7 @@ _MULTIPART_BYTES = 1 << 30
 """Size above which a file is uploaded in parts [bytes]; it becomes visible after the last part."""
 _URL = re.compile(r"(s3|gs|az):/+(.*)", re.DOTALL | re.IGNORECASE)
 _SECRET = re.compile(r"(?<=:/)(/*)(?:[^/\s@]*@|[^/\s]*:\S*@)|[?#][^\s\"')]*")
-"""User parts of addresses, whose secrets may hold slashes, and queries."""
+"""User parts of addresses, whose passwords may contain slashes, and queries."""
 _REMEDY = "check the address, the keys in the environment, and who may read and write there"
 
 Tag = Mapping[str, str]
@@ -40,7 +40,7 @@ Tag = Mapping[str, str]
 
 
 class Entry(NamedTuple):
-    """A file in a listing; ``key`` is its path under the place."""
+    """File in a listing: its path relative to the place, its size [bytes] and its version."""
 
     key: str
     size: int
@@ -51,8 +51,8 @@ def input_entry(about: Mapping[str, Any]) -> Entry:
     """Return the entry of a file in ``fetched`` or ``inputs`` of a manifest.
 
     Args:
-        about: ``path``, ``size`` and the tag of a file of a bucket, or a
-            :func:`jaxdet.results.manifest.fingerprint`.
+        about: ``path``, ``size`` and the fields of the tag for a file of a bucket; for a local file
+            its :func:`jaxdet.results.manifest.fingerprint`.
     """
     if "fingerprint" in about:
         tag = {"e_tag": f"{about['mtime_ns']}-{about['fingerprint']}"}
@@ -71,7 +71,7 @@ def scrub(text: str) -> str:
 
 
 def is_url(text: str | os.PathLike[str]) -> bool:
-    """Return whether an address names a bucket, with two slashes or, as a path, with one."""
+    """Return whether an address names a bucket; as a ``Path`` it has one slash after the colon."""
     return bool(_URL.match(os.fspath(text)))
 
 
@@ -99,7 +99,7 @@ def address(text: str | os.PathLike[str]) -> str:
 
 @cache
 def open_place(url: str) -> "Place":
-    """Open a place by its address; it need not exist yet.
+    """Open a place by its address; a folder need not exist yet.
 
     Raises:
         ConfigError: The address is wrong, or obstore is not installed.
@@ -112,7 +112,7 @@ def probe(place: "Place") -> None:
     """Check that a place honours conditional writes.
 
     Raises:
-        ConfigError: The place ignores their conditions, so two machines could both create a file.
+        ConfigError: The place ignores conditions, so two machines could both create a file.
     """
     key = f".probe-{secrets.token_hex(8)}"
     try:
@@ -227,7 +227,7 @@ class Bucket:
             raise InputError(problem, path=f"{self.url}/{entry.key}")
 
     def delete(self, keys: Iterable[str]) -> None:
-        """Remove files; those that are gone already are no error."""
+        """Remove files; missing files are ignored."""
         import obstore
 
         with self._reached():
@@ -267,7 +267,7 @@ def _store(url: str) -> Any:
 
 
 class Folder:
-    """A folder of a local or shared file system; its files are read where they are."""
+    """A folder of a local or shared file system, whose files are read without a local copy."""
 
     def __init__(self, url: str) -> None:
         self.url, self.root = url, Path(url)

@@ -1,4 +1,4 @@
-"""Publishing of complete results of a log, which attempts that race or die never mix.
+"""Publishing of the complete results of a log, which concurrent or killed attempts never mix.
 
 In a bucket::
 
@@ -8,10 +8,11 @@ In a bucket::
     RESULTS/LOG/attempts/VERSION/ATTEMPT   note of an attempt in progress
 
 ``VERSION`` is a checksum of input, configuration, jaxdet's version and the last ``--overwrite``.
-Each attempt writes under its own name, and then makes ``current.json`` name it, if that is still as
-it was when the attempt began. Otherwise it removes its files.
+Each attempt writes under its own name, and then enters this name in ``current.json``. If another
+attempt has published meanwhile, it removes its own files instead.
 
-In a folder, a log has the layout of local runs, renamed into place; ``.fleet`` holds attempts.
+In a folder, results have the layout of local runs, and a complete folder is renamed to its final
+path; ``.fleet`` holds attempts.
 """
 
 import hashlib
@@ -53,7 +54,7 @@ class Standing(NamedTuple):
     """State of the results of a log at an address."""
 
     state: str
-    """``new`` without results, ``whole`` or ``failed`` in this version, or ``other`` version."""
+    """``new`` (no results), ``whole`` or ``failed`` in this version, or ``other`` (version)."""
     current: Mapping[str, Any] | None = None
     """Content of ``current.json``: ``version``, ``record``, and ``attempt`` or ``failure``. In a
     folder, ``record`` and ``failure``."""
@@ -92,7 +93,7 @@ class _Attempts:
         self.place.delete([key])
 
     def deaths(self, target: Target, command: str | None = None) -> tuple[int, int]:
-        """Return the numbers of attempts whose process was killed, and whose machine was lost.
+        """Return the number of attempts whose process was killed, and of those lost with a machine.
 
         Args:
             target: Log and version.
@@ -123,7 +124,7 @@ class BucketResults(_Attempts):
         self.place = place
 
     def standing(self, target: Target) -> Standing:
-        """Return the results of a log."""
+        """Return the state of a log's results."""
         current = self._json(f"{target.name}/{CURRENT}")
         if not current:
             return Standing("new")
@@ -143,11 +144,11 @@ class BucketResults(_Attempts):
             target: Log and version.
             attempt: Name of the attempt.
             staged: Folder with ``manifest.json``.
-            seen: Results of the log when the attempt began.
+            seen: State of the log's results when the attempt began.
 
         Returns:
             ``done``; ``there`` if another attempt published first; ``replaced`` if a run of another
-            version did.
+            version published first.
         """
         own = f"{target.name}/{attempt}/"
         paths = [path for path in staged.rglob("*") if path.is_file()]
@@ -155,8 +156,8 @@ class BucketResults(_Attempts):
         with ThreadPoolExecutor(_UPLOADS) as pool:
             for put in [pool.submit(self.place.put, *one) for one in zip(keys, paths, strict=True)]:
                 put.result()
-        # Once this attempt is valid, none that has begun before can be published any more. Attempts
-        # that begin afterwards are not listed here, so their files are kept.
+        # Once this attempt is valid, attempts that began earlier can't be published any more, so
+        # their files are removed. Files of attempts that begin later are not in this list.
         before = [entry.key for entry in self.place.list(f"{target.name}/")]
         state = self._point(target, {"attempt": attempt}, seen)
         if state == "done":
@@ -167,7 +168,7 @@ class BucketResults(_Attempts):
         return state
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
-        """Publish why a log has no results, unless it has some."""
+        """Publish the reason why a log has no results, unless results were published meanwhile."""
         self._point(target, {"failure": failure}, seen)
 
     def reopen(self, target: Target, seen: Standing) -> None:
@@ -184,7 +185,7 @@ class BucketResults(_Attempts):
         return {file: f"{own}/{file}" for file in names}
 
     def _point(self, target: Target, to: Mapping[str, Any], seen: Standing) -> str:
-        """Write ``current.json``, unless another attempt has published since it was seen.
+        """Write ``current.json``, unless another attempt has published since ``seen`` was read.
 
         Returns:
             See :meth:`publish`.
@@ -281,7 +282,7 @@ def result_files(url: str, name: str = "obstacles.parquet") -> list[str]:
 
 
 def download(url: str, name: str, folder: Path) -> Path:
-    """Copy the results of one log from a bucket into ``folder``, as a local run leaves them.
+    """Copy the results of one log from a bucket into ``folder``, with the layout of a local run.
 
     Raises:
         InputError: There are no results, or they were replaced during the copy.

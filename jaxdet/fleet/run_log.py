@@ -1,4 +1,4 @@
-"""Run of a log from one address to another: fetch, run, publish; every scheduler calls it."""
+"""Run of a log at an address: fetch it, run it, publish its results; for use by any scheduler."""
 
 import json
 import secrets
@@ -66,7 +66,7 @@ def run_logs(logs: Sequence[Log], place: str, how: Mapping[str, Any]) -> Iterato
         try:
             for job, later in zip_longest(jobs, jobs[1:]):
                 if not (fetching and fetching.result()):
-                    job.fetch(stop)  # it is the first, or there was no room for two logs
+                    job.fetch(stop)  # the first log, or there was no room for two logs
                 fetching = ahead.submit(later.fetch, stop, job.held) if later else None
                 outcome = job.outcome or job.computed()
                 job.close()
@@ -87,9 +87,9 @@ class _Job:
         how: Options, as returned by :func:`prepare`.
 
     Attributes:
-        outcome: Outcome of a log that needs no computing.
-        path: The log on local disk.
-        held: Number of bytes on local disk.
+        outcome: Outcome of the log; None until it is known.
+        path: Path of the log on local disk.
+        held: Size of the log's copy on local disk [bytes].
     """
 
     def __init__(self, log: Log, results: Results, how: Mapping[str, Any]) -> None:
@@ -110,10 +110,10 @@ class _Job:
 
         Args:
             stop: Set when copying must end.
-            held: Bytes of another log on local disk.
+            held: Size of another log's copy on local disk [bytes].
 
         Returns:
-            False if there is no room for both logs.
+            False if there is no room for both logs, so that the call must be repeated later.
         """
         if not self._needs_work():
             return True
@@ -157,7 +157,7 @@ class _Job:
         return True
 
     def computed(self) -> dict[str, Any]:
-        """Run the log and publish its results; return the outcome."""
+        """Compute the log and publish its results; return the outcome."""
         assert self.spool
         attempt, begin = secrets.token_hex(6), time.monotonic()
         key = self.results.begin(self.target, attempt, self.how["command"])
@@ -225,8 +225,8 @@ class _Job:
     def _deaths(self) -> tuple[int, int]:
         """Return the numbers of killed and of lost attempts at the log.
 
-        A driver such as Ray's may end all tasks of a command: then only attempts of this command
-        are counted.
+        With a driver such as Ray's, which may end all tasks of a command, only the attempts of the
+        current command count.
         """
         command = self.how["command"] if self.how.get("driven") else None
         return self.results.deaths(self.target, command)
@@ -249,7 +249,7 @@ class _Job:
         return text.replace(str(self.path), f"{log['url']}/{first}") if log["url"] else text
 
     def _add_tracks(self) -> str | None:
-        """Add tracks to results in a bucket that lack them; return the error if that fails."""
+        """Add missing tracks to results in a bucket; return the error if that fails."""
         results = self.results
         if not (self.how.get("tracks") and isinstance(results, BucketResults)):
             return None
@@ -262,7 +262,7 @@ class _Job:
             if error is None:
                 results.publish(self.target, secrets.token_hex(6), folder, self.seen)
             return error
-        except InputError as error:  # another machine may have published them with tracks
+        except InputError as error:  # another machine may have published results with tracks
             return None if TRACKS in results.files(self.target.name) else str(error)
         finally:
             spool.close()
@@ -285,7 +285,7 @@ def _link(folder: Path) -> str | None:
 
 
 def _fetch(log: Log, folder: Path, stop: Event) -> Path:
-    """Copy a log to local disk; a local log is read where it is."""
+    """Copy a log to local disk and return its path; a local log is not copied."""
     entries = entries_of(log)
     if not log["url"] and not all(Path(entry.key).exists() for entry in entries):
         raise InputError("is not on this machine", path=entries[0].key)
@@ -304,7 +304,7 @@ def _fetch(log: Log, folder: Path, stop: Event) -> Path:
 
 
 def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
-    """Compare a run with the ``run.json`` at its address, or create that file; once per run.
+    """Compare a run with the ``run.json`` at its address, or create it; called once per run.
 
     Returns:
         The argument ``how``, completed by ``record``, ``overwrites`` and ``command``, which are the
@@ -312,7 +312,7 @@ def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises:
         ConfigError: The address has results of another configuration or version, the store ignores
-            conditional writes, or this machine's versions are not those of the run.
+            conditional writes, or this machine's versions differ from the run's.
     """
     from jaxdet.engine.runner import record_of
     from jaxdet.results.record import difference, digest

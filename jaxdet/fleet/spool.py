@@ -1,8 +1,8 @@
 """Local disk for fetched logs: limited in size, and cleared however a process ends.
 
-A process has a folder per log, with the machine, the process and its start in its name. If it is
-killed, the next process on that machine removes the folder and records in the store that the log
-killed a process; other machines can't tell whether the whole machine was lost.
+A process has a folder per log, whose name has the machine, the process and its start time. If the
+process is killed, the next process on that machine removes the folder and records in the store that
+the log killed a process; other machines can't distinguish a killed process from a lost machine.
 """
 
 import hashlib
@@ -67,7 +67,7 @@ class Spool:
             self.path.mkdir(parents=True)
 
     def witness(self, url: str, key: str) -> None:
-        """Record which attempt is being computed, for :func:`sweep`."""
+        """Record the attempt that uses the folder, so that :func:`sweep` can report its death."""
         with writing(self.path):
             text = json.dumps({"url": url, "key": key})
             (self.path / _WITNESS).write_text(text, encoding="utf-8")
@@ -106,7 +106,7 @@ def check_room(base: str | None, size: int, bound: int | None, held: int) -> Non
 
 
 def sweep(base: str | None = None) -> int:
-    """Remove folders of killed processes of this machine; return how many there were."""
+    """Remove folders of killed processes of this machine; return the number of folders."""
     dead = [path for path in base_folder(base).glob("*-*-*-*") if is_dead(path.name)]
     for folder in dead:
         with suppress(OSError, ValueError, KeyError, JaxdetError):

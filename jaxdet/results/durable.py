@@ -1,10 +1,10 @@
 """Files and folders that are complete or absent, however the process ends.
 
-The folder of a log's results is made in the working folder and renamed when it is complete. If
-there is one already, the two are exchanged in one step, so at any time the complete old or the
-complete new one is there. On systems that can't do that, the old folder is moved aside for a
-moment: readers find it there, and if the process ends at that moment, the next command that works
-in the results moves it back (:func:`finish`).
+The folder of a log's results is made in the working folder and renamed when it is complete. If an
+older folder exists, the two are exchanged in one step, so at any time readers find the complete old
+or the complete new folder. On systems that can't exchange folders, the old folder is moved aside
+for a moment: readers find it there, and if the process ends at that moment, the next command that
+works in the results moves it back (:func:`finish`).
 """
 
 import ctypes
@@ -46,7 +46,7 @@ def writing(path: Path, remedy: str = "make room or give another --output") -> I
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file under a temporary name, wait until it is on the disk, and rename it."""
-    # A random name, as processes in different containers may have the same number.
+    # The name is random, as processes in different containers may have the same number.
     new = path.with_name(f"{path.name}.{secrets.token_hex(8)}")
     with writing(path):
         try:
@@ -97,7 +97,7 @@ def publish(
         Whether the folder was moved to its place.
 
     Raises:
-        OutputError: The disk is full or broken; the old or the new folder is there, complete.
+        OutputError: The disk is full or broken; the complete old or new folder remains.
     """
     place = results / name
     with writing(place):
@@ -167,7 +167,7 @@ def exchange(one: Path, other: Path) -> bool:
 
 
 def remove(path: Path) -> None:
-    """Remove a folder or a link, without an error if that fails."""
+    """Remove a folder, file or link, without an error if that fails."""
     if path.is_symlink() or not path.is_dir():
         with suppress(OSError):
             path.unlink()
@@ -182,7 +182,7 @@ def flush_folder(folder: Path) -> None:
 
 
 def link_folder(folder: Path, copy: Path) -> None:
-    """Make a new folder with hard links to the files of another one, or copies of them."""
+    """Make a new folder with hard links to the files of ``folder``, or with copies of them."""
     copy.mkdir(parents=True)
     for path in sorted(folder.rglob("*")):
         to = copy / path.relative_to(folder)

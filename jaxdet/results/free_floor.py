@@ -1,4 +1,4 @@
-"""Free floor of a batch in metres, and in the world."""
+"""Free floor of a batch of frames, along rays in metres, and as polygons in the world frame."""
 
 from functools import lru_cache, reduce
 from typing import NamedTuple
@@ -16,7 +16,7 @@ DROP_RAYS = 5
 
 
 class Polygons(NamedTuple):
-    """Areas of the floor, each a polygon in the world."""
+    """Areas of the floor, each a polygon in the world frame."""
 
     points: np.ndarray
     """World X and Y of all corners, polygon after polygon, ``(P, 2)`` float64 [m]."""
@@ -27,7 +27,7 @@ class Polygons(NamedTuple):
 
 
 class FreeFloor(NamedTuple):
-    """Free floor per frame and ray, each ``(B, N)``; 0 where nothing is seen."""
+    """Free floor per frame and ray, arrays ``(B, N)``; distances are 0 if a ray shows nothing."""
 
     seen: np.ndarray
     """Whether the ray shows the floor or an obstacle, bool."""
@@ -46,8 +46,8 @@ class FreeFloor(NamedTuple):
     def drop_m(self) -> np.ndarray:
         """Distance of the nearest drop that ``DROP_RAYS`` rays show, ``(B,)`` float64 [m].
 
-        A drop counts if that many neighbouring rays all end in it; its distance is that of the
-        farthest of these rays. The value is NaN without a drop.
+        A drop counts if that many neighbouring rays all end in it; its distance is the largest
+        distance along these rays. The value is NaN without a drop.
         """
         to = np.where(self.end == FreeEnd.DROP, self.to_m, np.inf)
         last = to.shape[1] - DROP_RAYS + 1
@@ -61,11 +61,11 @@ class FreeFloor(NamedTuple):
         """Return the free floor between neighbouring rays as polygons in the world.
 
         Between two rays the floor is free as far as both rays show it. A polygon spans as many
-        neighbouring rays as possible; a ray that shows nothing ends it. A frame whose pose is
+        neighbouring rays as possible; it ends at a ray without free floor. A frame whose pose is
         unknown has no polygons.
 
         Args:
-            T_world_camera: Poses of the camera, ``(B, 4, 4)`` float64, NaN where unknown.
+            T_world_camera: Poses of the camera, ``(B, 4, 4)`` float64, NaN if unknown.
         """
         sin, cos = world_angle(T_world_camera)
         sin, cos = sin[:, None], cos[:, None]
@@ -97,16 +97,17 @@ class FreeFloor(NamedTuple):
 
 
 def _scaled(way: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Multiply complex numbers ``(n,)`` by real ones; NumPy's product depends on the CPU."""
+    """Multiply complex by real numbers ``(n,)``; the bits of NumPy's product depend on the CPU."""
     return (way.view(np.float64).reshape(-1, 2) * length[:, None]).view(np.complex128).ravel()
 
 
 def free_floor(free: Array, free_end: Array, depth_unit: float) -> FreeFloor:
-    """Return the free floor of a batch in metres, of the rays that any of its frames shows.
+    """Return the free floor of a batch in metres, from the first to the last ray that frames show.
 
     Args:
-        free: Ends ``(B, RAYS, 2)`` int32 [depth units], of :class:`jaxdet.types.Scene`.
-        free_end: Kinds of ends ``(B, RAYS)`` int32, of the same scene.
+        free: Start and end along each ray, ``(B, RAYS, 2)`` int32 [depth units], see
+            :class:`jaxdet.types.Scene`.
+        free_end: Causes of the ends, ``(B, RAYS)`` int32, of the same scene.
         depth_unit: Metres in one depth unit.
     """
     start, stop = np.moveaxis(np.asarray(free), 2, 0)

@@ -1,6 +1,6 @@
-"""JSON files of results: how they are written and read.
+"""Functions that write and read the JSON files of results.
 
-Their structure is checked, as files may have been edited.
+The structure of a file is checked when it is read, as it may have been edited.
 """
 
 import dataclasses
@@ -19,9 +19,9 @@ from jaxdet.results.durable import writing
 
 AGAIN = "run jaxdet run again, or name another folder"
 COUNT, NUMBER, TEXT = "a count", "a number", "a line of text"
-"""An integer from 0 on; a finite number; text without control characters."""
+"""Shapes of values: an integer from 0 on; a finite number; text without control characters."""
 MAYBE = "maybe"
-"""First item of a pair: the value is null, or has the shape in the second item."""
+"""First item of a pair; the value is null, or has the shape that is the second item."""
 _LONGEST = 1 << 20
 
 COUNTS = {TEXT: COUNT}
@@ -115,7 +115,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON file of results.
 
     Raises:
-        InputError: It is missing, can't be read, or holds no JSON object.
+        InputError: The file is missing, can't be read, or holds no JSON object.
     """
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
@@ -146,7 +146,7 @@ def entries_of(content: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
     """Return the entries of a log's cameras in ``summary.json`` or ``failed.json``.
 
     Raises:
-        InputError: They have another shape than jaxdet writes.
+        InputError: The entries don't have the shape that jaxdet writes.
     """
     check_shape(content, {"logs": [LOG]}, where)
     logs: list[dict[str, Any]] = content["logs"]
@@ -169,7 +169,7 @@ def check_shape(value: Any, shape: Any, path: Path, where: str = "") -> None:
         where: Field of the value, for the error.
 
     Raises:
-        InputError: It has another shape.
+        InputError: The value has another shape.
     """
     if isinstance(shape, tuple):
         if value is not None:

@@ -8,14 +8,14 @@
         frames.parquet obstacles.parquet summary.json config.json
         map.npz map.png pictures/000012.png
         tracks.parquet track_links.parquet tracks.png
-        manifest.json     size and SHA-256 of the others: a folder without it is not a result
+        manifest.json     size and SHA-256 of the other files; without it results are not complete
       drive_2/
         failed.json       why the log has no results, and how often it was tried
       .jaxdet/            files of a command that writes here, while it runs
         lock
-        aside-1a2b/drive_1/ moved aside while RESULTS/drive_1 is replaced
+        aside-1a2b/drive_1/ old results, moved aside while RESULTS/drive_1 is replaced
 
-Readers find a log's folder there too, see :mod:`jaxdet.results.durable`.
+Readers also find the results that are moved aside, see :mod:`jaxdet.results.durable`.
 """
 
 import os
@@ -30,17 +30,17 @@ FRAMES, OBSTACLES = "frames.parquet", "obstacles.parquet"
 TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
 """Tables that ``jaxdet track`` adds to a log's folder."""
 WORKING, ASIDE = ".jaxdet", "aside-"
-"""Folder of a command that writes results, and the beginning of names in it."""
+"""Folder of a command that writes results, and prefix of folders in it with results moved aside."""
 FLEET = ".fleet"
 """Folder in results for notes of machines that share a run, see jaxdet.fleet.publish."""
 
 
 def log_folders(results: Path) -> dict[str, Path]:
-    """Return the folders of logs by their names, complete and failed ones, in order."""
+    """Return the folders of complete and of failed logs, by name and in order of the names."""
     while True:
         aside = set((results / WORKING).glob(f"{ASIDE}*"))
         found = {path.name: path for place in (*aside, results) for path in _with_results(place)}
-        # A folder that is moved aside meanwhile would be missing.
+        # A folder that was moved aside meanwhile may be missing in the listing.
         if set((results / WORKING).glob(f"{ASIDE}*")) <= aside:
             return dict(sorted(found.items()))
 
@@ -61,15 +61,15 @@ def is_complete(folder: Path) -> bool:
 
 
 def is_run(folder: Path) -> bool:
-    """Return whether a folder is that of a run, with a folder for each log."""
+    """Return whether a folder holds the results of a run, with a folder for each log."""
     return (folder / RUN).is_file()
 
 
 def check_folder(folder: Path) -> None:
-    """Check that there is a folder, which may hold results.
+    """Check that a path is a folder, with or without results.
 
     Raises:
-        InputError: It is missing, or a file.
+        InputError: The folder is missing, or is a file.
     """
     if not folder.is_dir():
         problem = "a file, not a folder of results" if folder.exists() else "no such folder"

@@ -1,4 +1,4 @@
-"""Lock of a folder of results, in which one process at a time works."""
+"""Lock of a folder of results, so that only one process at a time works in it."""
 
 import fcntl
 import json
@@ -13,18 +13,18 @@ from typing import Any
 from jaxdet.errors import ConfigError, InputError, printable
 
 _TRIES = 100
-"""Maximum number of tries to make the folder and the file, as some file systems never allow it."""
+"""Maximum number of tries to make the folder and the file; on some file systems all tries fail."""
 _MOST_BYTES = 4096
 """Maximum number of bytes that are read from the file."""
 
 
 class Lock:
-    """A file that this process has locked, with the process, machine and time in it.
+    """A file that this process has locked, and that contains the process, machine and time.
 
     The system unlocks the file when the process ends. If the process was killed, the content stays.
 
     Args:
-        path: The file; its folder is made, and :meth:`release` removes it if nothing else is in it.
+        path: The file; its folder is made, and :meth:`release` removes the folder if it is empty.
 
     Attributes:
         before: Text that names the last owner if it was killed, else None.
@@ -77,7 +77,7 @@ def _locked(path: Path) -> int:
         except OSError as error:
             tries += 1
             if isinstance(error, FileNotFoundError | FileExistsError) and tries < _TRIES:
-                continue  # its last owner removes the folder, or has just done so
+                continue  # the lock's last owner removes the folder, or has just done so
             problem = f"can't be written to ({error.strerror})"
             raise InputError(problem, path=str(path.parent.parent)) from error
         try:

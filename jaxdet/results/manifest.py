@@ -1,6 +1,6 @@
 """``manifest.json``: files of a log's results, with checksums, and the inputs of the results.
 
-It is written last, so a folder without it holds no complete results.
+The manifest is written last, so a folder without it holds no complete results.
 """
 
 import hashlib
@@ -33,9 +33,9 @@ def fingerprint(path: Path) -> dict[str, Any]:
 
     The checksum is SHA-256 of the size, the first and the last 64 KiB, where MCAP has its header,
     first messages, chunk index and statistics. It differs for another recording, and after the file
-    was cut, continued or had chunks moved. It does not show bytes that changed in the middle; the
-    time of the last change and the chunks' own checksums may. The checksum of a folder of images is
-    that of its files' names and sizes.
+    was cut, continued or had chunks moved. It does not show changes of bytes in the middle, but the
+    time of the last change and the chunks' own checksums may show them. The checksum of a folder of
+    images is computed from its files' names and sizes.
 
     Args:
         path: The file or folder.
@@ -77,9 +77,9 @@ def _folder(path: Path) -> dict[str, Any]:
 
 
 def same_inputs(one: Iterable[Mapping[str, Any]], other: Iterable[Mapping[str, Any]]) -> bool:
-    """Return whether files have the same size, modification time and checksum, at any path.
+    """Return whether files have the same size, modification time and checksum; paths may differ.
 
-    A file that could not be read is not the same as any other.
+    A file that could not be read differs from every file.
 
     Args:
         one: Fingerprints of a log's files, see :func:`fingerprint`.
@@ -94,7 +94,7 @@ def write_manifest(folder: Path, about: Mapping[str, Any], leave_out: Collection
     """Write the manifest of the files in a folder.
 
     Args:
-        folder: Folder of a log's results, not yet in its place.
+        folder: Folder of a log's results, before it is moved to its final path.
         about: Additional entries: versions, ``log``, ``inputs`` and ``run``, the digest of the
             configuration.
         leave_out: Names of files that are not results.

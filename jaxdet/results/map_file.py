@@ -1,7 +1,7 @@
 """Occupancy grids of the world's floor, and their files for nav2's map_server.
 
-A file is a picture in grey levels and a YAML file, with the rules of nav2: the occupancy of a pixel
-is its darkness, or its brightness if ``negate`` is set, and thresholds make it a state.
+A map is stored as a grey-level picture and a YAML file, by the rules of nav2: the occupancy of a
+pixel is its darkness, or its brightness if ``negate`` is set; thresholds turn it into a state.
 """
 
 import math
@@ -36,7 +36,7 @@ negate: 0
 occupied_thresh: 0.65
 free_thresh: 0.196
 """
-# The grey level of unknown cells is an occupancy of 0.19608.
+# Unknown cells, of grey level 205, have the occupancy 0.19608, just above free_thresh.
 
 
 class Grid(NamedTuple):
@@ -52,13 +52,13 @@ class Grid(NamedTuple):
     """Direction of the rows, counter-clockwise from the world's X [rad]."""
 
     def places(self, points: np.ndarray) -> np.ndarray:
-        """Return column and row of points ``(..., 2)`` in the world, float64 with fractions."""
+        """Return fractional columns and rows of points ``(..., 2)`` in the world [m], float64."""
         sin, cos = sin_cos(self.yaw)
         x, y = points[..., 0] - self.origin[0], points[..., 1] - self.origin[1]
         return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1) / self.cell_m
 
     def world(self, places: np.ndarray) -> np.ndarray:
-        """Return the points in the world of columns and rows ``(..., 2)`` with fractions [m]."""
+        """Return points in the world [m] from fractional columns and rows ``(..., 2)``."""
         sin, cos = sin_cos(self.yaw)
         x, y = places[..., 0] * self.cell_m, places[..., 1] * self.cell_m
         x, y = x * cos - y * sin + self.origin[0], x * sin + y * cos + self.origin[1]
@@ -230,7 +230,7 @@ class KnownPlaces:
             reach_m: Half the side of each square, ``(P,)`` [m].
 
         Returns:
-            ``(P,)`` bool; False where a point is NaN or far off the map.
+            ``(P,)`` bool; False if a point is NaN or far off the map.
         """
         rows, columns = self._grid.states.shape
         place = self._grid.places(points)

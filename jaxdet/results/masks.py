@@ -9,12 +9,12 @@ from jaxdet.types import Calibration, CellLabels, Detections
 def label_image(found: CellLabels, row: int, calibration: Calibration, side: int) -> np.ndarray:
     """Return the obstacle at each pixel of a frame.
 
-    Its resolution is that of the depth cells, 3 to 4 pixels of a depth image: a cell covers a box
-    in the image of ``calibration.image``. A pixel in several boxes belongs to the nearest cell,
-    whether that is part of an obstacle or not.
+    The resolution is that of the cells, 3 to 4 pixels of a depth image: a cell covers a box in the
+    image of ``calibration.image``. A pixel in several boxes belongs to the nearest cell, even if
+    that cell is not part of an obstacle.
 
     Args:
-        found: NumPy arrays, with the cells of the frame.
+        found: Cells of a batch with their labels, NumPy arrays.
         row: Row of the frame in these arrays.
         calibration: Calibration of the log.
         side: Side of a cell [depth pixel], see :func:`jaxdet.camera.cell_side`.
@@ -26,7 +26,7 @@ def label_image(found: CellLabels, row: int, calibration: Calibration, side: int
     z, camera = found.cells.z[row : row + 1], calibration.image
     low, high, used = (part[0] for part in cell_boxes(z, calibration, side))
     label, low, high = (a[used] for a in (found.label[row], low, high))
-    # From far to near, as the last of several values for a pixel stays.
+    # Cells are drawn from far to near, as the last value that is written to a pixel remains.
     order = np.lexsort((label, z[0][used]))[::-1]
     label, low, (width, height) = label[order], low[order], (high - low)[order].T + 1
     # Each row of a box is a run of pixels of the flattened image.
@@ -44,7 +44,7 @@ def obstacle_points(found: Detections, row: int, unit: float) -> tuple[np.ndarra
     """Return the points of a frame's obstacles: depth cells, or corners with the preset ``paper``.
 
     Args:
-        found: NumPy arrays, with cells or points.
+        found: Detections of a batch, NumPy arrays, with cells or points.
         row: Row of the frame in these arrays.
         unit: Metres in a depth unit.
 

@@ -1,8 +1,8 @@
 """Metric values of obstacles, computed from integers on the host, for all backends.
 
 The stages return integers in depth units. Metric values are computed from them here, in NumPy
-float64, so that results don't depend on the backend, the batch or the device. The yaw of ROS is
-related to Eq. 8-9 only here, see :func:`world_angle`.
+float64, so that results don't depend on the backend, the batch or the device. Only this module
+converts between the yaw of ROS and the angle of Eq. 8-9, see :func:`world_angle`.
 """
 
 import math
@@ -49,7 +49,7 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
         Boxes and centroids in metres, computed in float64 and rounded once.
 
     Raises:
-        InputError: The arrays are not those of obstacles, or the unit is not a number.
+        InputError: The arrays have other shapes than obstacles, or the unit is not a number.
     """
     _check(obstacles, depth_unit, ("num_points", "xyz_min", "xyz_max", "xyz_sum"))
     points = np.maximum(np.asarray(obstacles.num_points), 1).astype(np.float64)
@@ -63,7 +63,7 @@ def extents(obstacles: Obstacles, depth_unit: float) -> Extents:
 
 
 def _check(obstacles: Obstacles, depth_unit: float, parts: Sequence[str]) -> None:
-    """Check that arrays are those of obstacles; the first part has one value per slot."""
+    """Check the arrays of obstacles that ``parts`` names; the first has a single value per slot."""
     of_type("obstacles", obstacles, Obstacles)
     if not 0 < number("depth_unit", depth_unit) < math.inf:
         problem, remedy = f"{depth_unit:g} m", "give the metres of a depth unit"
@@ -117,7 +117,7 @@ def distances(detections: Detections) -> np.ndarray:
 
 
 def point_distances(obstacles: Obstacles) -> np.ndarray:
-    """Return the distance of the nearest point of clusters of points, ``(...)`` [depth units]."""
+    """Return the distance to the nearest point of clusters of points, ``(...)`` [depth units]."""
     assert obstacles.nearest is not None  # only obstacles made of surfaces lack it
     return np.sqrt(dot(obstacles.nearest, np.array([262144.0, 1.0])))
 
@@ -133,7 +133,7 @@ def distance_text(distance_m: float | None, depth_m: float) -> str:
 
 
 def rectangle_distances(corners: np.ndarray) -> np.ndarray:
-    """Return the distance from the camera's ground projection to the nearest point of rectangles.
+    """Return the distance from the camera's ground projection to the nearest point of a rectangle.
 
     Args:
         corners: Corners ``(..., 4, 2)`` in order around the rectangle, ground frame [m].
@@ -162,7 +162,7 @@ def contour_lines(
     slot: np.ndarray,
     backward: np.ndarray | bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the contours of some obstacles without padding, one after the other.
+    """Return the contours of selected obstacles without padding, one after the other.
 
     Args:
         contour: Contours of :class:`jaxdet.types.Scene`, ``(B, M, C, 2)`` int32.
@@ -189,7 +189,7 @@ def contour_lines(
 
 
 def nearest(points: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Return the distance of the nearest point of each line.
+    """Return the distance from the origin to the nearest point of each line.
 
     Args:
         points: Points of all lines, one after the other, ``(P, 2)``.
@@ -204,7 +204,7 @@ def nearest(points: np.ndarray, count: np.ndarray) -> np.ndarray:
 
 
 def _squared(points: np.ndarray) -> np.ndarray:
-    """Return the squared distances of points ``(..., 2)``, float64."""
+    """Return the squared distances of points ``(..., 2)`` from the origin, float64."""
     x, y = points[..., 0].astype(np.float64), points[..., 1].astype(np.float64)
     return x * x + y * y
 
@@ -214,9 +214,9 @@ def rectangles(obstacles: Obstacles, depth_unit: float, config: FootprintConfig)
 
     The outline is a rectangle. A and B, the leftmost and the rightmost point of the obstacle, are
     the ends of one of its edges. If C, the nearest point, is a vertex, the opposite edge is on the
-    parallel to AB through C. Otherwise it is ``extension_m`` behind AB, away from the camera. Then
-    the margin ``margin_m + margin_per_m2 z²``, with the obstacle's smallest z, is added on all
-    sides.
+    parallel to AB through C. Otherwise the opposite edge is ``extension_m`` behind AB, away from
+    the camera. Then the margin ``margin_m + margin_per_m2 z²`` is added on all sides; z is the
+    smallest depth of the obstacle.
 
     Obstacles made of surfaces have a fitted rectangle instead, in the fields ``direction`` and
     ``span``. Only the margin is added to it, and AB is the side whose middle is nearest to the
@@ -269,10 +269,10 @@ def _fitted_rectangles(
     across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     margin = _margin(obstacles, depth_unit, config)
     left, right, near, far = np.moveaxis(span, -1, 0)
-    # The four sides in turn, counted counter-clockwise from the one that faces across.
+    # Sides of the rectangle with its margin; its edges are counted from the side ``near`` on.
     sides = left - margin, right + margin, near - margin, far + margin
     ring = _corners(along, across, *sides)
-    middle = ring + np.roll(ring, -1, axis=-2)  # doubled
+    middle = ring + np.roll(ring, -1, axis=-2)  # twice the middle of each edge
     first = np.argmin(dot(middle, middle), axis=-1)
     order = (first[..., None] + np.arange(4)) % 4
     return np.take_along_axis(ring, order[..., None], axis=-2) * depth_unit
@@ -293,7 +293,7 @@ def _corners(
 
 
 def _margin(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) -> np.ndarray:
-    """Return the margin of rectangles, ``(...)`` float64 or one for all [depth units]."""
+    """Return the margin of rectangles, ``(...)`` float64 or a single value [depth units]."""
     margin = np.asarray(config.margin_m)
     if config.margin_per_m2:
         z = np.asarray(obstacles.xyz_min, np.float64)[..., 2] * depth_unit
@@ -339,7 +339,7 @@ def world_angle(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             float64; world z is up.
 
     Returns:
-        ``sin θ`` and ``cos θ``, each ``(...)`` float64, NaN where the pose is.
+        ``sin θ`` and ``cos θ``, each ``(...)`` float64; NaN if the pose is NaN.
     """
     optical, up = T_world_camera[..., :2, 2], -T_world_camera[..., :2, 1]
     length = norm(optical)[..., None]
@@ -355,12 +355,12 @@ def to_world(corners: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
     :func:`world_angle` and the camera at ``(X0, Y0)``.
 
     Args:
-        corners: Right and forward of outlines of P corners in the ground frame, ``(B, M, P, 2)``
+        corners: Outlines of P corners in the ground frame, right and forward, ``(B, M, P, 2)``
             float64 [m].
-        T_world_camera: Poses of the camera, ``(B, 4, 4)`` float64, NaN where unknown.
+        T_world_camera: Poses of the camera, ``(B, 4, 4)`` float64, NaN if unknown.
 
     Returns:
-        World X and Y ``(B, M, P, 2)`` float64 [m]; NaN where the pose is unknown.
+        World X and Y ``(B, M, P, 2)`` float64 [m]; NaN if the pose is unknown.
 
     Raises:
         InputError: The arrays have other shapes or types.

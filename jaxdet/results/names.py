@@ -5,7 +5,7 @@ import re
 import zlib
 
 MOST_BYTES = 80
-"""Maximum length of the name of a log or camera in a file name, which may have 255 [bytes]."""
+"""Maximum length of a log's or camera's name in a file name, whose own limit is 255 [bytes]."""
 RESERVED = ("run.json", "failed.json")
 """Names of a run's files, which no log's folder may have."""
 _MARK = "~"
@@ -15,13 +15,13 @@ _MARK = "~"
 def log_name(path_under_root: str) -> str:
     """Return the name of the folder for the results of a log.
 
-    It depends on nothing but the log's name: letters, digits, ``_``, ``.`` and ``-`` stay, ``/``
-    becomes ``--``. It ends in a checksum if the log's name can't be read back from it, is long,
-    begins with a dot or has capital letters. So different logs have different folders on any disk,
-    even if its file system ignores the case of letters.
+    It depends only on the log's name: letters, digits, ``_``, ``.`` and ``-`` stay, ``/`` becomes
+    ``--``. It ends in a checksum if the log's name can't be restored from it, is long, begins with
+    a dot or has capital letters. So different logs have different folders on any disk, even if its
+    file system ignores the case of letters.
 
     Args:
-        path_under_root: Path of the log under the folder that was named, without its suffix.
+        path_under_root: Path of the log relative to the run's input folder, without its suffix.
 
     >>> log_name("monday/drive_1")
     'monday--drive_1'
@@ -41,8 +41,8 @@ def log_name(path_under_root: str) -> str:
 def camera_name(camera: str) -> str:
     """Return the part of a log's file names that identifies one of its cameras.
 
-    It differs between cameras: if the camera's name can't be read back from it, it ends in a
-    checksum.
+    It is different for each camera, as it ends in a checksum if the camera's name can't be restored
+    from it.
     """
     name = _plain(camera.replace("/", "-"))
     if name.replace("-", "/") != camera:

@@ -1,6 +1,6 @@
 """Floor grids in the world: the occupancy map of a log, and rasters of the shapes of a frame.
 
-The map counts how often each cell was occupied by an obstacle, and how often free.
+The map counts the outlines that cover each cell, and the frames that show the cell free.
 """
 
 from collections import defaultdict
@@ -21,7 +21,9 @@ CELL_M = 0.05
 TILE = 256
 """Side of a tile [cell]; a tile is made when a shape first touches it."""
 MAX_CELLS = 1 << 26
+"""Maximum number of cells in a map."""
 MAX_OUTLINE_CELLS = 1 << 22
+"""Maximum number of cells in the box around an outline or around a frame's free floor."""
 
 Tiles = defaultdict[tuple[int, int], np.ndarray]
 """Counts ``(TILE, TILE)`` int32 by row and column of the tile."""
@@ -62,18 +64,18 @@ class OccupancyMap:
         self.skipped = 0
 
     def add_path(self, T_world_camera: np.ndarray) -> None:
-        """Append the positions of poses ``(B, 4, 4)``; unknown ones are left out."""
+        """Append the positions of poses ``(B, 4, 4)``; unknown poses, with NaN, are left out."""
         xy = T_world_camera[:, :2, 3]
         self.path.append(xy[np.isfinite(xy).all(axis=1)])
 
     def add(self, corners: np.ndarray) -> None:
-        """Count outlines ``(R, 8)``, world X and Y [m]; those with NaN are left out."""
+        """Count outlines ``(R, 8)``, world X and Y [m]; outlines with NaN are left out."""
         known = corners[np.isfinite(corners).all(axis=1)].reshape(-1, 2)
         outlines, low, size, fits = placed(known, np.full(len(known) // 4, 4))
         self.skipped += int((~fits).sum())
         (used,) = np.nonzero(fits)
         outlines = outlines.reshape(-1, 4, 2)
-        # Outlines are counted tile by tile, as those counted together should be near each other.
+        # Outlines are counted tile by tile, as outlines in one call should be near each other.
         column, row = low[used].T // TILE
         tiles, tile = np.unique((column << 32) + row, return_inverse=True)
         for number in range(len(tiles)):
@@ -97,7 +99,7 @@ class OccupancyMap:
             _add_to_tiles(self.free_tiles, mask, *low[g].tolist())
 
     def merge(self, later: "OccupancyMap") -> None:
-        """Add the counts of another map, whose path continues this one's."""
+        """Add the counts of another map, whose path continues the path of this map."""
         self.path += later.path
         self.skipped += later.skipped
         for mine, more in ((self.tiles, later.tiles), (self.free_tiles, later.free_tiles)):
@@ -133,17 +135,17 @@ class Placed(NamedTuple):
     """Groups of points, each in the smallest box of cells around it."""
 
     points: np.ndarray
-    """Points from the middle of the box's first cell, ``(P, 2)`` int32 [``UNITS`` per cell]."""
+    """Points relative to the middle of the first cell, ``(P, 2)`` int32 [``UNITS`` per cell]."""
     low: np.ndarray
     """Column and row of the first cell, ``(G, 2)`` int64."""
     size: np.ndarray
     """Numbers of columns and rows, ``(G, 2)`` int64."""
     fits: np.ndarray
-    """Whether the group has a place on the map, ``(G,)`` bool."""
+    """Whether the group is small enough and near enough for the map, ``(G,)`` bool."""
 
 
 def placed(points: np.ndarray, count: np.ndarray) -> Placed:
-    """Return points in units of cells, whose middles have integer coordinates.
+    """Return groups of points in units of cells; the middles of cells have integer coordinates.
 
     Args:
         points: World X and Y of all groups, one after the other, ``(P, 2)`` [m].
@@ -190,7 +192,7 @@ def _empty_tile() -> np.ndarray:
 
 
 def _add_to_tiles(tiles: Tiles, counts: np.ndarray, x: int, y: int) -> None:
-    """Add counts ``(rows, columns)``, the first of which is cell ``(x, y)``."""
+    """Add counts ``(rows, columns)`` of a box of cells whose first cell is ``(x, y)``."""
     rows, columns = counts.shape
     for row in range(y // TILE, (y + rows - 1) // TILE + 1):
         for column in range(x // TILE, (x + columns - 1) // TILE + 1):
@@ -223,7 +225,7 @@ def save_map(path: Path, image: MapImage) -> None:
         "cell_m": np.array(image.cell_m),
         "path": image.path,
     }
-    # Python's versions differ in how they write the large entries that savez_compressed declares.
+    # savez_compressed is not used, as it declares large entries, whose bytes depend on Python.
     with ZipFile(path, "w") as file:
         for name, array in arrays.items():
             entry = ZipInfo(f"{name}.npy")
@@ -239,7 +241,7 @@ def load_map(path: Path) -> MapImage:
         InputError: The file is missing, or not a map.
     """
     try:
-        with path.open("rb") as file, np.load(file) as parts:  # NumPy leaves a damaged one open
+        with path.open("rb") as file, np.load(file) as parts:  # NumPy leaves damaged files open
             x, y = parts["origin"].tolist()
             cell = float(parts["cell_m"])
             image = MapImage(parts["counts"], parts["free"], (x, y), cell, parts["path"])
@@ -292,10 +294,10 @@ class Raster(NamedTuple):
 
 
 def rasterize(layers: Sequence[Layer]) -> Raster | None:
-    """Draw layers, each over the previous ones.
+    """Draw layers, each over the previous layers.
 
     Args:
-        layers: Shapes; those that are too large or too far for a map are left out.
+        layers: Layers; shapes that are too large or too far away for a map are left out.
 
     Returns:
         The smallest raster around the shapes; None without shapes, or if it would be too large.

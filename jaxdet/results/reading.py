@@ -1,4 +1,4 @@
-"""Reader of the results of ``jaxdet run``, which holds only a part of them in memory."""
+"""Reader of the results of ``jaxdet run``, which holds only a part of the rows in memory."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
@@ -68,7 +68,7 @@ class ResultLog(NamedTuple):
     name: str
     camera: str
     label: str
-    """Name of the log, followed by that of the camera if the log has several."""
+    """Name of the log, followed by the camera's name if the log has several cameras."""
     folder: Path
     """Folder of its results."""
     several: bool
@@ -144,7 +144,7 @@ def open_results(folder: str | PathLike[str]) -> "Results":
     ...     frames, obstacles = results.tables()
 
     Args:
-        folder: Folder that ``jaxdet run --output`` was given, or the folder of a log in it.
+        folder: Folder that ``jaxdet run --output`` wrote, or the folder of a log in it.
 
     Raises:
         InputError: The folder holds no complete results, or results of another format.
@@ -162,9 +162,9 @@ class Results:
         folder: Folder of the results, as a path.
         config: Content of ``config.json``, which is the same for all logs.
         logs: Logs with results, by name; a log with several cameras has an entry for each.
-        failed: Logs that failed as a whole.
+        failed: Logs, or single cameras of logs, that failed and have no rows.
         stale: Names of folders with results of another configuration or version than ``run.json``,
-            which are left out; an --overwrite has not replaced them yet.
+            which are left out; a run with --overwrite has not replaced them yet.
     """
 
     def __init__(self, folder: str | PathLike[str]) -> None:
@@ -194,7 +194,7 @@ class Results:
             self._open.pop().close(force=True)
 
     def _find(self) -> Iterator[ResultLog]:
-        """Yield the logs with results; add the others to ``failed`` and ``stale``."""
+        """Yield the logs with results; add other logs to ``failed`` and ``stale``."""
         if is_complete(self.folder):
             yield from self._logs_of(self.folder, read_manifest(self.folder))
             return
@@ -307,7 +307,7 @@ class Results:
             raise InputError(problem, path=path, remedy=AGAIN) from error
 
     def options_of(self, log: ResultLog) -> LogOptions:
-        """Return the options that open this log, or this camera of it, again."""
+        """Return the options with which the log is opened again, for the same camera."""
         return dataclasses.replace(self.log_options, camera=log.camera)
 
     def log(self, name: str) -> ResultLog:
@@ -335,11 +335,11 @@ class Results:
         The chosen columns of a row group are in memory, besides the rows that are yielded.
 
         Args:
-            log: The log; by default all, one after the other.
+            log: The log; by default all logs, one after the other.
             frames: Columns of the frames, by default all; ``log``, ``camera``, ``frame`` and
-                ``num_obstacles`` are always there.
+                ``num_obstacles`` are always included.
             obstacles: Columns of the obstacles, by default all, with :data:`LINKED` if the log is
-                :meth:`tracked`; ``log``, ``camera`` and ``frame`` are always there.
+                :meth:`tracked`; ``log``, ``camera`` and ``frame`` are always included.
             size: Maximum number of frames at a time.
 
         Raises:
@@ -405,7 +405,7 @@ class Results:
     def _table(self, log: ResultLog, name: str) -> Iterator[pq.ParquetFile]:
         """Open a table of a log, and check that it belongs to the other files.
 
-        Errors of a damaged table in the ``with`` block become errors of the input.
+        Errors that a damaged table causes in the ``with`` block are raised as InputError.
         """
         path = log.folder / name
         table = open_table(path)
@@ -436,7 +436,7 @@ def open_table(path: Path) -> pq.ParquetFile:
     """Open a table of results.
 
     Raises:
-        InputError: It is missing, can't be read, or is of another format.
+        InputError: The table is missing, can't be read, or is of another format.
     """
     try:
         if path.exists() and not path.is_file():  # opening a pipe would block
@@ -502,7 +502,7 @@ class _Rows:
         group = int(np.searchsorted(ends, start, side="right"))
         names = file.schema_arrow.names if named is None else named
         schema = pa.schema([file.schema_arrow.field(name) for name in names])
-        # Each row group has its own reader, as a single reader would keep parts of all in memory.
+        # Each row group has its own reader, as one reader would keep parts of all groups in memory.
         groups = range(group, len(sizes))
         self._batches = chain.from_iterable(file.iter_batches(2048, [g], named) for g in groups)
         self._waiting = schema.empty_table()

@@ -24,7 +24,7 @@ def make_record(
     map: bool,
     observers: Mapping[str, object],
 ) -> dict[str, Any]:
-    """Return the content of ``run.json``; arguments as of :meth:`jaxdet.Runner.run`.
+    """Return the content of ``run.json``; for the arguments see :meth:`jaxdet.Runner.run`.
 
     Workers and batches are left out, as they change no result.
 

@@ -50,7 +50,7 @@ class Lists(NamedTuple):
 
     @classmethod
     def of_lengths(cls, values: np.ndarray, length: np.ndarray, null: np.ndarray) -> "Lists":
-        """Return lists of given lengths.
+        """Return lists of the lengths ``length``.
 
         Args:
             values: Values of all lists, ``(n,)``.
@@ -68,7 +68,7 @@ class Lists(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Results of a batch on the host."""
+    """Table rows of a batch, with the floors, poses and free floor that belong to them."""
 
     frames: dict[str, Any]
     """Columns of ``frames.parquet``."""
@@ -77,15 +77,15 @@ class Rows(NamedTuple):
     plane: GroundPlane
     """Floor of each frame, ``(B,)``, relative to the camera that lengths refer to."""
     T_world_camera: np.ndarray
-    """Poses of the camera that lengths refer to, ``(B, 4, 4)``, NaN where unknown."""
+    """Poses of the camera that lengths refer to, ``(B, 4, 4)``, NaN if unknown."""
     free_world: Polygons | None
     """Free floor of each frame in the world; None without poses."""
 
 
 def row_inputs(found: Detections) -> Detections:
-    """Return the part of detections that :func:`batch_rows` needs: no points, cells and prior.
+    """Return the arrays of detections that :func:`batch_rows` needs: no points, cells and prior.
 
-    It can be compiled by ``jax.jit``.
+    This function can be compiled by ``jax.jit``.
 
     Args:
         found: NumPy or JAX arrays.
@@ -110,9 +110,9 @@ def no_inputs(count: int) -> Detections:
 
 
 def used_slots(inputs: Detections, count: int) -> Detections:
-    """Return a copy of the first ``count`` frames, with as many slots as any of them uses.
+    """Return a copy of the first ``count`` frames, without slots that are empty in all frames.
 
-    Most slots are empty: of 240 KB per frame, about 20 are used.
+    Most slots are empty: of 240 KB per frame, about 20 KB are used.
     """
     found: Detections = _first(inputs, count)
     slots = int(found.num_obstacles.max(initial=0))
@@ -129,7 +129,7 @@ def used_slots(inputs: Detections, count: int) -> Detections:
 
 
 def joined_inputs(parts: Sequence[Any]) -> Any:
-    """Concatenate trees of frames' arrays, with as many slots as the largest tree has."""
+    """Concatenate trees of arrays frame after frame, padded to the largest number of slots."""
     first = parts[0]
     if first is None:
         return None
@@ -176,13 +176,13 @@ def batch_rows(
         camera: Name of the camera.
         batch: Frames, with or without images; padding has no rows.
         plane: Prior of each frame's floor that the detections were made with, ``(B,)``, relative to
-            the depth camera; frames that show their own floor use their own.
+            the depth camera; not used for frames that show their own floor.
         sources: Sources of the priors, ``B`` words, see :meth:`jaxdet.engine.Planes.sources`.
         inputs: Detections, see :func:`row_inputs`; NumPy or JAX arrays.
         config: Configuration of the outlines.
 
     Returns:
-        Columns for :meth:`jaxdet.results.tables.Tables.of`, and the arrays behind them.
+        Columns for :meth:`jaxdet.results.tables.Tables.of`, and arrays that they are made from.
 
     Raises:
         ValueError: A frame has more obstacles than there are slots.
@@ -240,7 +240,7 @@ def shown_planes(found: Detections, plane: GroundPlane, calibration: Calibration
 
     Args:
         found: Detections of ``B`` frames.
-        plane: Priors, ``(B,)``, seen from the depth camera.
+        plane: Priors, ``(B,)``, relative to the depth camera.
         calibration: Calibration of the log.
 
     Returns:
@@ -259,7 +259,7 @@ def _first(part: Any, count: int) -> Any:
 def _frame_columns(
     batch: "Batch", status: np.ndarray, poses: np.ndarray, plane: GroundPlane
 ) -> dict[str, Any]:
-    """Return what doesn't depend on obstacles: times, status, poses, and the camera's mount."""
+    """Return the columns of times, status, poses, and the camera's mount."""
     frames, n = batch.frames, len(status)
     colors, times = batch.nearest_color_ns, batch.log_time_ns
 
@@ -291,7 +291,7 @@ def _frame_columns(
 def _floor_columns(
     fit: FloorFit | None, sources: Sequence[str], good: np.ndarray, config: Config
 ) -> dict[str, Any]:
-    """Return the source of each frame's floor, and why the floor in its own depth was refused."""
+    """Return the source of each frame's floor, and the reason if the frame's own was refused."""
     own, refused = np.zeros_like(good), np.zeros(good.size, int)
     if fit is not None and config.ground.source != "none":
         own, refused = good & fit.own, fit.refused
@@ -302,9 +302,9 @@ def _floor_columns(
 
 
 def _free_columns(free: FreeFloor | None, good: np.ndarray) -> dict[str, Any]:
-    """Return columns of ``frames.parquet``, null where ``good`` ``(n,)`` bool is False.
+    """Return the columns of the free floor, null for frames with False in ``good`` ``(n,)``.
 
-    Without an estimate of the free floor all are null.
+    Without an estimate of the free floor all values are null.
     """
     kinds = {
         "free_bearing_rad": np.float32,
@@ -388,7 +388,7 @@ def _shape_columns(
         bottom = top = np.full(row.size, np.nan)
         contours = Lists.nulls(row.size)
     else:
-        turned = np.abs(plane.roll) > 0.75 * np.pi  # upside down: columns go to the left
+        turned = np.abs(plane.roll) > 0.75 * np.pi  # upside down: columns go from right to left
         placed = np.where(plane.valid[:, None], scene.contour_points, 0)
         points, count = contour_lines(scene.contour, placed, row, slot, turned[row])
         distance = nearest(points, count)

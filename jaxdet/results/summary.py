@@ -19,22 +19,22 @@ ON_DEVICES = ("transfer", "compute")
 _DERIVED = ("bottleneck", "rates")
 """Keys of a log's entry that are neither fields nor results of observers."""
 SHORT_M = 0.02
-"""Distance behind an obstacle's nearest point from which on its rectangle counts as short [m]."""
+"""Gap between an obstacle's nearest point and its rectangle above which this is too short [m]."""
 MANY_REFUSED = 0.1
-"""Largest share of frames without a floor of their own that causes no warning."""
+"""Maximum fraction of frames without a floor of their own that causes no warning."""
 ROLL_FLAG = "--ground.camera-roll"
 STEEP_DEG = 60.0
-"""Pitch or roll above which a mount may be that of a frame other than the camera's [degree]."""
+"""Pitch or roll above which a mount may belong to a frame other than the camera's [degree]."""
 MOSTLY_FAR = 0.9
-"""Share of frames with a floor far from the prior from which on depth may be wrong."""
+"""Fraction of frames with a floor far from the prior above which the depth may be wrong."""
 
 
 @dataclass(kw_only=True)
 class Counts:
-    """Counts and times of some frames, which can be added."""
+    """Counts and times of a set of frames, which can be added up."""
 
     frames: int = 0
-    """Number of depth images; if the log failed, those before the failure."""
+    """Number of depth images; if the log failed, their number before the failure."""
     status: Counter[str] = field(default_factory=Counter)
     obstacles: int = 0
     short_rectangles: int = 0
@@ -88,7 +88,7 @@ class LogSummary(Counts):
     workers: int = 1
     """Number of processes that share the frames."""
     devices: int = 0
-    """Number of GPUs that compute for them; 0 if they compute themselves."""
+    """Number of GPUs that compute for these processes; 0 if the processes compute themselves."""
     camera: str | None = None
     """Name of the camera; None if the log could not be opened."""
     file_name: str | None = None
@@ -168,7 +168,7 @@ class LogSummary(Counts):
         )
 
     def _floor_cause(self) -> str:
-        """Return why frames don't show their floor, judged by the mount, with the remedy."""
+        """Return a likely cause of missing floors, by the camera's mount, and its remedy."""
         if any(ROLL_FLAG in text for text in self.warnings):
             return f"the camera looks turned, as the warning with {ROLL_FLAG} says"
         if not self.floor_sources["tf"]:
@@ -229,7 +229,7 @@ class LogSummary(Counts):
     def bottleneck(self) -> str:
         """Slowest step of the processes or GPUs that are busy longest; empty before any step.
 
-        If there are GPUs, they do the steps ``ON_DEVICES``, and workers do all other steps.
+        With GPUs, the GPUs do the steps ``ON_DEVICES``, and workers do all other steps.
         """
         groups = (ON_DEVICES, tuple(what for what in STEPS if what not in ON_DEVICES))
         groups = [*((what,) for what in groups[0]), groups[1]] if self.devices else [STEPS]
@@ -327,7 +327,7 @@ def problems(content: Mapping[str, Any]) -> list[str]:
 
 
 def failure(log: Mapping[str, Any]) -> str:
-    """Return why a log failed, with its name unless the error names one of its files.
+    """Return the error of a failed log, preceded by the log's name unless the error names the log.
 
     Args:
         log: Entry in ``summary.json``.

@@ -29,7 +29,7 @@ _NUMPY = {
 
 
 class Mover(NamedTuple):
-    """A track in a frame, whether the frame shows it or not."""
+    """State of a track at a frame, even if the frame does not show it."""
 
     track: int
     in_world: bool
@@ -42,7 +42,7 @@ class Mover(NamedTuple):
 
 
 class TracksInFrames:
-    """Tracks of the frames of a log, which are requested one after the other.
+    """Look-up of the tracks at each frame of a log; frames are requested in order.
 
     Args:
         tracks: Rows of ``tracks.parquet``, in order.
@@ -55,7 +55,7 @@ class TracksInFrames:
         self._row = -1
 
     def at(self, frame: int) -> list[Mover]:
-        """Return the tracks in the next frame, which has this number."""
+        """Return the tracks at the next frame, whose number is ``frame``."""
         self._row += 1
         while self._next is not None and self._next["first_frame"] <= frame:
             path = np.reshape(self._next["path"], (-1, 2)).astype(np.float64)
@@ -79,7 +79,7 @@ def _velocities(path: np.ndarray, speed: np.ndarray) -> np.ndarray:
 
 
 class Frame(NamedTuple):
-    """A row of ``frames.parquet`` and its rows of ``obstacles.parquet``, null as None."""
+    """A row of ``frames.parquet`` and its rows of ``obstacles.parquet``, with None for null."""
 
     row: dict[str, Any]
     obstacles: list[dict[str, Any]]
@@ -96,7 +96,7 @@ class Tables(NamedTuple):
     frames: pa.Table
     """Rows of ``frames.parquet``."""
     obstacles: pa.Table
-    """Rows of ``obstacles.parquet``; those of tracked logs have the columns
+    """Rows of ``obstacles.parquet``; rows of tracked logs have the columns
     :data:`jaxdet.results.reading.LINKED` too."""
 
     @classmethod
@@ -106,7 +106,7 @@ class Tables(NamedTuple):
 
     @property
     def first(self) -> np.ndarray:
-        """``(F + 1,)`` int64, frame ``i`` has the obstacles ``first[i]`` to ``first[i + 1]``."""
+        """Row of each frame's first obstacle, then the number of obstacles, ``(F + 1,)`` int64."""
         return np.append(0, np.cumsum(self.frames["num_obstacles"].to_numpy(), dtype=np.int64))
 
     def each(self) -> Iterator[Frame]:
@@ -116,7 +116,7 @@ class Tables(NamedTuple):
             yield Frame(row, parts[start:stop])
 
     def take(self, rows: np.ndarray) -> "Tables":
-        """Return some of the frames ``(n,)``, ascending, with all their obstacles."""
+        """Return the frames at ``rows``, ``(n,)`` ascending, with all their obstacles."""
         chosen = np.zeros(self.frames.num_rows, bool)
         chosen[rows] = True
         of = np.repeat(chosen, self.frames["num_obstacles"].to_numpy())

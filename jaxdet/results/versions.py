@@ -26,7 +26,7 @@ def versions() -> dict[str, str | None]:
 def version(name: str) -> str | None:
     """Return the version of a package; None if it is not installed."""
     from importlib.metadata import PackageNotFoundError
-    from importlib.metadata import version as installed  # loads much
+    from importlib.metadata import version as installed  # imported here, as it takes long
 
     try:
         return installed(name)

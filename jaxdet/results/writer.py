@@ -1,9 +1,9 @@
 """Writers of the tables of a log as Parquet files, with their metadata.
 
-The bytes of the tables are a function of their rows alone: rows are buffered into row groups
-of a fixed size for any batch size, and the writer's settings are fixed here. The metadata is text
-in key-value pairs: format, version, configuration and inputs. It doesn't depend on the time, the
-machine, the device, the batch or the paths of files, so that the files' bytes don't either.
+The bytes of a table depend only on its rows and its metadata: rows are buffered into row groups of
+a fixed size for any batch size, and the writer's settings are fixed here. The metadata is text in
+key-value pairs: format, version, configuration and inputs. Like the rows, it doesn't depend on the
+time, the machine, the device, the batch or the paths of files.
 """
 
 import contextlib
@@ -92,7 +92,7 @@ def parquet_writer(
 
 
 def table_bytes(table: pa.Table) -> bytes:
-    """Return a table as the bytes of a file; they are equal if all values are bitwise equal."""
+    """Return a table as the bytes of a file, which are equal if all values are bitwise equal."""
     file = BytesIO()
     with parquet_writer(file, table.schema, store_schema=False) as writer:
         writer.write_table(table.combine_chunks())
@@ -139,12 +139,12 @@ class TableWriter:
             summary: Content of ``summary.json``.
         """
         metadata = table_metadata(config, summary, self._inputs)
-        with writing(self.folder), ThreadPoolExecutor(2) as threads:  # Arrow compresses on one
+        with writing(self.folder), ThreadPoolExecutor(2) as threads:  # Arrow uses one per table
             deque(threads.map(lambda table: table.close(metadata), self._tables), 0)
 
 
 class Inputs:
-    """Digests for each camera of each log in a table: of its stamps and its calibration."""
+    """Digest of the timestamps and the calibration of each camera of each log in a table."""
 
     def __init__(self) -> None:
         self._frames: dict[tuple[str, str], int] = {}
@@ -152,7 +152,7 @@ class Inputs:
 
     def add(self, frames: pa.Table) -> None:
         """Add rows of ``frames.parquet``, in order."""
-        # As lists: Arrow's groups and arrays for NumPy import pandas.
+        # Columns are lists, as Arrow's grouping and conversion to NumPy import pandas.
         columns = [frames[name].to_pylist() for name in (*_KEYS, "stamp_ns")]
         for name, same in groupby(zip(*columns, strict=True), key=lambda row: row[:2]):
             rows = [at for *_, at in same]
@@ -161,7 +161,7 @@ class Inputs:
             digest.update(np.array(rows, "<i8").tobytes())
 
     def fingerprints(self, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Return each log and camera with its number of frames and its digest.
+        """Return the number of frames and the digest of each camera of each log.
 
         Args:
             summary: Content of ``summary.json``, of which only the calibrations are used.

@@ -169,7 +169,7 @@ def _log_difference(a: Results, b: Results, log_a: ResultLog, log_b: ResultLog) 
 def _by_number(
     a: Iterator[Frame], b: Iterator[Frame]
 ) -> Iterator[tuple[Frame | None, Frame | None]]:
-    """Yield pairs of frames with the same number; one is None if its log lacks the frame."""
+    """Yield pairs of frames with the same number; None stands for a frame that a run lacks."""
     one, other = next(a, None), next(b, None)
     while one is not None or other is not None:
         numbers = [np.inf if frame is None else frame.row["frame"] for frame in (one, other)]

@@ -41,7 +41,7 @@ def verify(folder: Path, against: Sequence[str] = (), sample: int = SAMPLE) -> R
     Each file is compared with its checksum in the manifest of its log. All table rows are read: the
     tables must be in order, refer to each other correctly, agree with ``summary.json``, and have a
     row for every frame. Tracks are computed again and must be equal byte for byte. If a log is
-    available, its files must be those that were read in the run, and the timestamps and poses of
+    available, its files must be the files that the run read, and the timestamps and poses of
     all frames must be equal. A sample of frames is computed again by the NumPy reference, and their
     rows must be equal byte for byte.
 

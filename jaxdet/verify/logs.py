@@ -39,7 +39,7 @@ _NAMES = ("frames.parquet", "obstacles.parquet")
 
 
 def check_inputs(files: LogFiles, recorded: Sequence[Mapping[str, Any]], report: Report) -> None:
-    """Report files of a log that differ from those read in the run.
+    """Report files of a log that differ from the files that the run read.
 
     Args:
         files: Files of the log.
@@ -64,7 +64,7 @@ def check_inputs(files: LogFiles, recorded: Sequence[Mapping[str, Any]], report:
 def check_log(
     results: Results, log: ResultLog, files: LogFiles, sample: int, report: Report
 ) -> None:
-    """Compare all frames with those of the log, and a sample with results of the reference.
+    """Compare all frames with the log, and a sample of frames with results of the reference.
 
     Args:
         results: Results.
@@ -83,7 +83,7 @@ def check_log(
                     _check_sample(results, log, opened, sample, found)
         except JaxdetError as error:
             found.add("log", log.label, str(error))
-        if not found.findings:  # otherwise repeat with a scan, as the run may have needed one
+        if not found.findings:  # otherwise the next mode scans the log, as the run may have done
             break
     report.findings += found.findings
     report.frames_of_logs += found.frames_of_logs
@@ -152,7 +152,7 @@ def _compare(log: ResultLog, want: Tables, found: Tables, report: Report) -> Non
 
 
 def _different(want: "pa.Table", found: "pa.Table") -> list[str]:
-    """Return the columns of ``found`` that, written as bytes, differ from those of ``want``."""
+    """Return the names of columns that differ between two tables if they are written as bytes."""
     if want.num_rows != found.num_rows:
         return ["number of rows"]
     if table_bytes(want.select(found.column_names)) == table_bytes(found):
