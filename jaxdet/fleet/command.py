@@ -21,7 +21,7 @@ from jaxdet.fleet.run_log import prepare, run_logs
 from jaxdet.memory import size_text
 
 _PER_SLOT = 4
-"""Ray tasks in flight per slot, so that no slot waits for the driver, and autoscalers see demand."""
+"""Ray tasks in flight per slot: no slot waits for the driver, and autoscalers see demand."""
 _LEAST_WINDOW = 32
 """Minimum number of tasks in flight."""
 _MOST_LOGS = 8

@@ -138,8 +138,8 @@ def device_of_jax(module: Any) -> Any:
 def most_teams(frames: int, words: int) -> int:
     """Return the number of teams to launch, limited by frames, processors and scratch memory."""
     stats = jax.local_devices()[0].memory_stats() or {}
-    room = stats.get("bytes_limit", SCRATCH_SHARE << 30) // SCRATCH_SHARE
-    return min(frames, BLOCKS * MULTIPROCESSORS, max(room // (4 * max(words, 1)), 1))
+    room = min(stats.get("bytes_limit", SCRATCH_SHARE << 30) // SCRATCH_SHARE // 4, 2**31 - 1)
+    return min(frames, BLOCKS * MULTIPROCESSORS, max(room // max(words, 1), 1))
 
 
 def uninterrupted(program: Callable[..., Any], *arguments: Any) -> Any:

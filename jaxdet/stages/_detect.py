@@ -80,7 +80,7 @@ def _run_steps(
         static: Sizes that the program is compiled for.
         keep_work: Whether to return the intermediate arrays.
     """
-    batch, program = len(depth), _compiled(static)
+    batch, program = len(depth), _compiled(static, keep_work)
 
     def call(work: bool, scratch: tuple[int, int]) -> Rows:
         record, contour, words = static.words(work)
@@ -97,7 +97,7 @@ def _run_steps(
 
 
 @lru_cache(maxsize=64)
-def _compiled(static: Static) -> Any:
+def _compiled(static: Static, keep_work: bool) -> Any:
     """Return a function for ``jax.jit`` that runs all steps of the program."""
     steps = len(_program.STEPS)
 
@@ -106,5 +106,5 @@ def _compiled(static: Static) -> Any:
     ) -> None:
         _program.launch([depth, floors, tables, record, contour, work], scratch, 0, steps, static)
 
-    program.__qualname__ = f"{steps}_steps_{static.rows}_{static.columns}"
+    program.__qualname__ = "_".join(map(str, ("steps", *static, keep_work)))
     return jax_callable(kernels, kernels.TYPES, outputs=4)(program)

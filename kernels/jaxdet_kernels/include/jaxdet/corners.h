@@ -63,7 +63,7 @@ struct CornerMaxima {
     int* list;                // (height * PixelBits::words(width)) words that may contain corners
     int* strength;            // size strengths(height, width): strengths as bits of floats, 0 if not a
                               // corner
-    CornerKey* keys;                // (height * width) maxima, unordered
+    CornerKey* keys;          // (height * width) maxima, unordered
 
     enum { WORD = 32 };  // pixels per word
 
@@ -105,7 +105,9 @@ struct CornerMaxima {
             search(team, warp, PixelBits::row(list[i]), PixelBits::column(list[i]), limit.bits,
                    &shared.maxima);
         team.sync();
-        return shared.maxima;
+        const int count = shared.maxima;
+        team.sync();  // the selection uses the same shared memory
+        return count;
     }
 
     static int greater(int a, int b) { return a > b ? a : b; }
@@ -265,7 +267,7 @@ struct CornerSelection {
     unsigned* blocked;    // (height, PixelBits::words(width)) pixels close to an accepted corner
     // (height) half-width of the disk by vertical distance from its centre; -1: outside
     int* halves;
-    CornerKey* other;           // (count) memory that `KeySort` needs
+    CornerKey* other;     // (count) memory that `KeySort` needs
 
     // Selects corners; returns their number, at most slots + 1. One warp selects.
     int run(const Team& team, CornerKey* keys, int count) const {
