@@ -138,16 +138,15 @@ struct Surfaces {
         for (int i = warp.index; i < on.count(); i += warp.count) {
             unsigned goes_on = 0, linked = 0;
             if (on[i]) {
-                const int *const z = this->z, *const steps = this->steps, over = columns;
-                const int c = on.column(i), at = on.row(i) * columns + c, from = c ? 0 : 1;
-                const auto is_linked = [=](int one, int other) {
-                    return is_near(z[one], z[other], steps[z[one]], steps[z[other]]);
-                };
+                const int* const steps = this->steps;
+                const int r = on.row(i), c = on.column(i), from = c ? 0 : 1;
+                const int *here = z + r * columns + c, *above = here - columns;
                 goes_on = warp.bits(columns - c - from, [=](int k) {
-                    return is_linked(at + from + k, at + from + k - 1);
+                    return is_near(here[from + k], here[from + k - 1], steps[here[from + k]],
+                                   steps[here[from + k - 1]]);
                 }) << from;
-                linked = at < columns ? 0 : warp.bits(columns - c, [=](int k) {
-                    return is_linked(at + k, at + k - over);
+                linked = !r ? 0 : warp.bits(columns - c, [=](int k) {
+                    return is_near(here[k], above[k], steps[here[k]], steps[above[k]]);
                 });
             }
             if (warp.lane) continue;
