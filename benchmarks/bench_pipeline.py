@@ -35,7 +35,7 @@ VOXEL_M = 0.05
 
 
 def cases() -> list[Case | Missing]:
-    """Detect obstacles in frames in memory with the default and ``paper``, against their peers.
+    """Detect obstacles in frames in memory with the default preset, ``paper`` and other programs.
 
     Only the preset ``paper`` and the hand-written pipeline use colour images.
     """

@@ -112,7 +112,7 @@ class Comparison(NamedTuple):
 
     @property
     def reasons(self) -> Counter[str]:
-        """Number of different obstacles by side and reason."""
+        """Number of obstacles that differ, by result (old, new, both) and reason."""
         return Counter(f"{one.side}: {one.reason}" for one in self.differences)
 
 

@@ -150,7 +150,7 @@ class FeaturesConfig:
     quality_level: float = 0.01
     """Minimum corner strength, as a fraction of the strongest corner's minimum eigenvalue."""
     min_distance: float = 3.0
-    """Minimum distance between two corners [pixel]; no minimum below 1."""
+    """Minimum distance between two corners [pixel]; values below 1 have no effect."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -96,7 +96,7 @@ def test_matches_of_detections_and_objects_are_those_found_by_hand():
     assert match(np.zeros((2, 4), int), yes).tolist() == [0, 0]
 
 
-def test_the_number_of_votes_goes_before_their_fraction():
+def test_the_number_of_votes_decides_before_their_fraction():
     votes = np.array([[1, 500, 0, 499], [0, 0, 6, 4], [0, 1, 0, 0], [997, 0, 3, 0]])
     assert match(votes, np.arange(4) > 0, 0.0).tolist() == [1, 3, 0, 2]
 

@@ -45,7 +45,7 @@ CONSOLE = (
     "scripts/",
     ".venv/bin/",
 )
-"""Commands of blocks that are not run: installation, other programs, commands for given logs."""
+"""Beginnings of commands that the tests do not run: installation, other programs, example logs."""
 OTHERS = ("--dst", "--dst-storage", "--src", "--system-site-packages", "--only", "--seeds")
 OTHERS += ("--array", "--array-properties", "--container-properties", "--cpus-per-task", "--gres")
 OTHERS += ("--job-definition", "--job-definition-name", "--job-name", "--job-queue", "--requeue")

@@ -153,7 +153,7 @@ def split(data: bytes) -> list[tuple[bytes, bytes]]:
 LINES = bytes(6 * (1 + 2 * 8))
 """Lines of a 16-bit grey image of 8x6 zeros, each with its filter."""
 GREY16 = head(8, 6, 16, 0)
-"""Header of that image."""
+"""Header of a grey image of 8x6 pixels with 16 bits."""
 
 
 def damaged() -> dict[str, tuple[list[tuple[bytes, bytes]], str]]:

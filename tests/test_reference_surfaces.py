@@ -331,7 +331,7 @@ def test_small_grids_are_supported(shape: tuple, config: SurfaceConfig) -> None:
         assert (without_bent_floor(none, z > 0, z, 0 * z, UNIT, config) == -1).all()
 
 
-def test_an_object_at_the_lower_edge_of_a_margin_is_not_bent_floor():
+def test_an_object_in_a_margin_at_the_lower_image_edge_is_not_bent_floor():
     label, height = np.full((4, 24), -1), np.zeros((4, 24), int)
     label[2:, :2], height[2:, :2] = 0, 60
     forward = np.full((4, 24), 1000)

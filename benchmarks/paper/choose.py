@@ -63,7 +63,7 @@ class Options:
     seeds: int = len(TUNING_SEEDS)
     """Number of tuning seeds; the full report tunes the baselines on as many."""
     judge: bool = False
-    """Choose nothing; compare the preset with its first values on the held-out seeds."""
+    """Choose nothing; compare the preset on the held-out seeds with the values it had at first."""
     laws: bool = False
     """Choose nothing; compare thresholds at quantiles of each frame's gradients."""
 

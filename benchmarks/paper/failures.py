@@ -133,7 +133,7 @@ def _pictures(section: Section, lab: Lab, system: System, failed: list[Failure])
 
 
 def worst_of(failed: list[Failure], count: int) -> list[Failure]:
-    """Return about ``count`` of the worst frames, equally many of each light, each scene once."""
+    """Return about ``count`` of the worst frames, equally many per light level, each scene once."""
     chosen: list[Failure] = []
     seen: set[tuple[str, int, int]] = set()
     for light in LIGHTS:

@@ -47,7 +47,7 @@ class Counts:
     mount_seeds: int = 5
     """Number of test seeds of the wrong mounts, in normal light."""
     case_seeds: int = 4
-    """Number of test seeds of the cases, with one scene per case."""
+    """Number of test seeds; each seed has one scene per case."""
     log_frames: int = 48
     """Number of frames of the log with the pedestrian."""
     timed: int = 8

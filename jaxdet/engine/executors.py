@@ -161,7 +161,7 @@ class InPool:
 
 
 class FloorJob(NamedTuple):
-    """Job that estimates a log's floors in a worker; its task is the batch size."""
+    """Job that estimates the floors of a log in a worker; a task consists of the batch size."""
 
     log: "Log"
     config: Config

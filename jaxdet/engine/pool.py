@@ -194,7 +194,7 @@ class Pool:
 
     @property
     def serving(self) -> Served | None:
-        """Format and memory of the frames that GPUs compute; None before :meth:`serve`."""
+        """Format and memory of frames for the GPUs; None before :meth:`serve`."""
         return self._gpus and self._gpus.memory.served
 
     def _end_gpus(self) -> None:

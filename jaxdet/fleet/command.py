@@ -27,8 +27,7 @@ _LEAST_WINDOW = 32
 _MOST_LOGS = 8
 """Maximum number of logs in a Ray task; the next log is fetched while one is computed."""
 _PARTS = 16
-"""Divisor of a slot's share of all bytes; the quotient limits the size of Ray tasks of several
-logs."""
+"""A Ray task with several logs has at most all bytes / number of slots / _PARTS."""
 
 
 def run_fleet(

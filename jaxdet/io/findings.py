@@ -244,6 +244,6 @@ def check_sampled(log: IndexedLog, error: JaxdetError) -> None:
 
 
 def _is_of_first(log: IndexedLog, error: JaxdetError) -> bool:
-    """Return whether an error is about a topic with more calibrations than were read."""
+    """Return whether the topic of an error has further calibrations that were not read."""
     known = log.calibrations.get(error.topic)
     return known is not None and known.num_messages > NUM_PROBES

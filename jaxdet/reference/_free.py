@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxdet.types import FreeEnd
 
-RUN = 3  # number of measured cells after the last floor cell that must be lower, at a drop
+RUN = 3  # number of cells behind the edge of a drop that must be measured and lower
 NEIGHBOURS = 14  # columns on each side of a column; more than half of all these must drop
 SHARE = 5
 """Cells are no drop if floor farther up the column is nearer than they are by more than 1/SHARE of

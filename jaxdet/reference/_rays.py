@@ -22,7 +22,7 @@ from jaxdet.floor.rays import (
 )
 from jaxdet.types import RAYS, FreeEnd
 
-END_BITS = 2  # bits of the kind of end that is packed with a range
+END_BITS = 2  # number of bits of the reason of an end, packed below its range
 MOST_WIDER = 8  # maximum ratio of a column's width at its end and at its neighbour's end
 NONE = np.iinfo(np.int32).max  # no range
 CORNER_BITS = 12  # fraction bits of the positions of tiles' corners, for their bearings

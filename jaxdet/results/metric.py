@@ -269,7 +269,7 @@ def _fitted_rectangles(
     across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     margin = _margin(obstacles, depth_unit, config)
     left, right, near, far = np.moveaxis(span, -1, 0)
-    # Sides of the rectangle with its margin; its edges are counted from the side ``near`` on.
+    # Sides of the rectangle with its margin. Edge 0 is the side ``near``.
     sides = left - margin, right + margin, near - margin, far + margin
     ring = _corners(along, across, *sides)
     middle = ring + np.roll(ring, -1, axis=-2)  # twice the middle of each edge
@@ -302,7 +302,7 @@ def _margin(obstacles: Obstacles, depth_unit: float, config: FootprintConfig) ->
 
 
 def _backward_normal(a: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Return the unit normals of edges of direction ``along`` that point away from the camera."""
+    """Return the unit normals, away from the camera, of edges with direction ``along``."""
     normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     sideways = np.where(a[..., 0] >= 0, 1.0, -1.0) * normal[..., 0]
     outward = np.where(normal[..., 1] != 0, normal[..., 1], sideways)

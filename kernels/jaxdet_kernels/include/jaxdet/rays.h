@@ -45,7 +45,7 @@ struct Rays {
     }
     static int quotient(int a, int b) { return (int)((double)a / (double)b); }
 
-    // A float32 and its bits; those of positive floats have the same order as the floats.
+    // A float32 and its bits; bits of positive floats compare like the floats.
     union Float {
         float value;
         int bits;
