@@ -170,7 +170,7 @@ def test_a_grid_that_is_too_large_is_an_error() -> None:
     none = np.zeros((1, 2, 513), np.int32)
     view = 6 * [none]
     shared = obstacle_tables(4000, UNIT, CONFIG, affinity("surfaces", UNIT))
-    with pytest.raises(ValueError, match="513 x 2 cells"):
+    with pytest.raises(ValueError, match="got 513 x 2"):
         obstacles(none, none > 0, view, shared)
 
 
