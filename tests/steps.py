@@ -92,12 +92,6 @@ def find_floor(
     return step("find_floor", tables, given, _grid(z))["floor"]
 
 
-def found_frames(found: np.ndarray, frame: np.ndarray, tables: Tables) -> np.ndarray:
-    """Run ``find_frame``; return floor frames ``(B, 13)``."""
-    given = {"floor": found, "floor_frame": frame}
-    return step("find_frame", tables, given, Sizes(1, 1, 1, 1, 1))["frame"]
-
-
 class Surfaces(NamedTuple):
     """Results of ``find_surfaces``."""
 

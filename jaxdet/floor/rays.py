@@ -56,8 +56,8 @@ def block_settings(ground: GroundConfig, depth_unit: float) -> np.ndarray:
     """Return the coefficients of the step height of a single pixel, as in ``StepHeight``.
 
     Returns:
-        Coefficients ``(3,)`` float32: constant [depth units], growth with depth, and growth with
-        depth and camera height [1/depth unit].
+        Coefficients ``(3,)`` float32: constant [depth units]; growth with depth; and the step
+        height due to noise per depth and camera height, a minimum [1/depth unit].
     """
     step, noise = ground.step_height_m / depth_unit, ground.noise_per_m * depth_unit
     return np.array([step, ground.step_height_per_m, noise], np.float32)

@@ -76,7 +76,7 @@ def scratch_words(tables: Words, rows: int, columns: int, words: Words):
     _scratch_words(tables, rows, columns, words)
 
 
-def _step(name: str, blocks: int) -> Any:
+def _step(name: str) -> Any:
     """Return the CUDA kernel of a step; the frames of a batch are assigned to teams in turn."""
 
     def native(tid: int, batch: Batch, scratch: Rows, teams: int): ...
@@ -96,11 +96,11 @@ def _step(name: str, blocks: int) -> Any:
     def kernel(batch: Batch, scratch: Rows, teams: int):
         function(wp.tid(), batch, scratch, teams)
 
-    return wp.kernel(kernel, name=name, launch_bounds=(WIDTH, blocks))
+    return wp.kernel(kernel, name=name, launch_bounds=(WIDTH, BLOCKS))
 
 
 STEPS = {
-    name: _step(name, BLOCKS)
+    name: _step(name)
     for name in (
         "find_cells",
         "find_floor",

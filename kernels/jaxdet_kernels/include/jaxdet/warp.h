@@ -79,6 +79,7 @@ struct Warp {
     int max(int value) const { return -min(-value); }
 
     // Bitmap of the results of a test for i from 0 to 31, or to n - 1 if that is less; a collective call.
+    // The CPU tests several i at once, so a test must not read what the test of another i writes.
     template <class Test> unsigned bits(Test test) const { return bits(BitRows::WIDTH, test); }
     template <class Test> unsigned bits(int n, Test test) const {
 #if defined(__CUDA_ARCH__)
