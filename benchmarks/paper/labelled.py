@@ -85,9 +85,7 @@ RECORDINGS = (
     ),
     Recording("aims_slam", "aims_slam/aims_slam_18frames.mcap", 0.5, held_out=3),
     Recording("d435_boxes_felixchenfy", "d435_boxes_felixchenfy", 0.5, held_out=3),
-    *recordings_of(stills.ROOMS),
-    *recordings_of(stills.PUBLIC),
-    *recordings_of(stills.PUBLIC2),
+    *(one for recipe in (stills.ROOMS, *stills.PUBLIC) for one in recordings_of(recipe)),
 )
 
 

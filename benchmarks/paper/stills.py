@@ -10,8 +10,9 @@ import numpy as np
 from jaxdet.errors import InputError
 
 LABELS = Path(__file__).with_name("labels")
-ROOMS, PUBLIC, PUBLIC2 = (LABELS / f"{name}.json" for name in ("rooms", "public", "public2"))
-"""Recipes, one dictionary per recording; the public ones have ``place`` and ``split``."""
+ROOMS = LABELS / "rooms.json"
+PUBLIC = tuple(LABELS / f"{name}.json" for name in ("public", "public2", "public3"))
+"""Recipes, a dictionary per recording; the public ones have ``place`` and ``split``."""
 SUN_TURN = 3
 """Number of bits by which SUN RGB-D rotates its depths."""
 NIVIEWER_BYTES = 24

@@ -146,8 +146,8 @@ TAGS = {"low", "thin", "glass", "dark", "shiny", "path", "cut"}
 
 @pytest.mark.parametrize(
     ("recipe", "tags"),
-    [(stills.ROOMS, set()), (stills.PUBLIC, TAGS), (stills.PUBLIC2, TAGS)],
-    ids=("rooms", "public", "public2"),
+    [(stills.ROOMS, set()), *((recipe, TAGS) for recipe in stills.PUBLIC)],
+    ids=lambda value: getattr(value, "stem", ""),
 )
 def test_stills_have_labels_of_their_frames(recipe, tags):
     rooms, used = stills.read_recipe(recipe), set()
@@ -155,7 +155,7 @@ def test_stills_have_labels_of_their_frames(recipe, tags):
     assert files == {f"{recipe.stem}_{room['name']}" for room in rooms}
     for room in rooms:
         labels = read_boxes(BOXES / f"{recipe.stem}_{room['name']}.txt")
-        assert recipe != stills.PUBLIC2 or len(labels) == len(room["frames"])
+        assert recipe not in stills.PUBLIC[1:] or len(labels) == len(room["frames"])
         for frame, mine in labels.items():
             assert 0 <= frame < len(room["frames"])
             assert (mine.distance_m > 0.2).all() and (mine.distance_m < 4.3).all()
@@ -167,7 +167,7 @@ def test_stills_have_labels_of_their_frames(recipe, tags):
 
 def test_recordings_are_found_by_their_group(tmp_path):
     """Each recording of public.json is in one of two parts, by its repository."""
-    for room in stills.read_recipe(stills.PUBLIC):
+    for room in stills.read_recipe(stills.PUBLIC[0]):
         path = tmp_path / "public" / f"{room['name']}.mcap"
         path.parent.mkdir(exist_ok=True)
         path.touch()
@@ -232,12 +232,12 @@ def test_stills_of_repositories_are_converted_to_logs(tmp_path):
     assert run.returncode == 2 and run.stderr.count("\n") == 1 and "no clone" in run.stderr
 
 
-@pytest.mark.parametrize("path", [stills.PUBLIC, stills.PUBLIC2], ids=("public", "public2"))
+@pytest.mark.parametrize("path", stills.PUBLIC, ids=lambda path: path.stem)
 def test_repositories_of_a_public_recipe_are_in_one_split_and_in_no_other_recipe(path):
     recipe = stills.read_recipe(path)
     others = [
         room
-        for other in (stills.ROOMS, stills.PUBLIC, stills.PUBLIC2)
+        for other in (stills.ROOMS, *stills.PUBLIC)
         if other != path
         for room in stills.read_recipe(other)
     ]
