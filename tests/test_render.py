@@ -121,6 +121,14 @@ def test_a_box_outside_of_the_colour_image_is_not_drawn() -> None:
     assert has_color(of_depth[46:586, 10:730], canvas.color_of(0))
 
 
+@pytest.mark.parametrize("beyond", [(-60, 20), (310, 20), (10, -60), (10, 220)])
+def test_an_outline_outside_of_the_picture_is_not_drawn(beyond: tuple[int, int]) -> None:
+    image = canvas.canvas(200, 300)
+    outline = np.array([[0, 0], [40, 0], [40, 30]]) + beyond
+    canvas.polygon(image, outline, canvas.color_of(0), fill=0.3)
+    np.testing.assert_array_equal(image, canvas.canvas(200, 300))
+
+
 def test_the_preset_paper_shows_its_corners() -> None:
     frames, config = scene(), preset("paper")
     found = to_host(detect(frames, config, backend="reference"))

@@ -74,8 +74,9 @@ def polygon(
     if fill > 0:
         part, first = _part(image, points, 1)
         layer = part.copy()
-        cv2.fillConvexPoly(layer, fixed(points - first), color, cv2.LINE_AA, SHIFT)
-        cv2.addWeighted(layer, fill, part, 1 - fill, 0, dst=part)
+        if layer.size:
+            cv2.fillConvexPoly(layer, fixed(points - first), color, cv2.LINE_AA, SHIFT)
+            cv2.addWeighted(layer, fill, part, 1 - fill, 0, dst=part)
     if width:
         cv2.polylines(image, [fixed(points)], True, color, width, cv2.LINE_AA, SHIFT)
 
