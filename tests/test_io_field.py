@@ -1,6 +1,7 @@
 """Logs with properties of real recordings: each is read as the log it was made from."""
 
 import bz2
+import copy
 import json
 import struct
 import tempfile
@@ -171,6 +172,45 @@ def test_the_world_may_be_any_frame_of_the_tf_tree(tmp_path, aligned, frame):
             same(other.T_base_camera, base)
 
 
+@pytest.mark.parametrize("common", ["map", "odom_all"])
+def test_robots_in_the_same_tree_have_their_own_base_and_world(tmp_path, aligned, common):
+    def prefixed(name: str) -> Change:
+        def change(message: Message) -> None:
+            rename(message.body, name)
+            if message.topic == "/tf_static":
+                item = copy.deepcopy(message.body["transforms"][0])
+                item["header"]["frame_id"], item["child_frame_id"] = common, f"{name}/odom"
+                message.body["transforms"].append(item)
+            elif message.topic != "/tf":
+                message.topic = f"/{name}{message.topic}"
+
+        return change
+
+    def rename(body: Any, name: str) -> None:
+        for key, value in body.items() if isinstance(body, dict) else enumerate(body):
+            if key in ("frame_id", "child_frame_id"):
+                body[key] = f"{name}/{value}"
+            elif isinstance(value, dict | list):
+                rename(value, name)
+
+    both = changed(aligned, prefixed("a")) + changed(aligned, moved_by(1), prefixed("b"))
+    with opened(tmp_path, both, camera="b") as log:
+        assert log.base_frame == "b/base_footprint"
+        assert log.world_frame == (common if common == "map" else "b/odom")
+
+
+def test_the_world_may_be_the_frame_of_the_odometry(tmp_path, aligned):
+    def without_moving(message: Message) -> list[Message] | None:
+        return [] if message.topic == "/tf" else None
+
+    one = changed(aligned, without_moving)
+    with opened(tmp_path, aligned) as alone, opened(tmp_path, one, world_frame="/odom") as log:
+        assert log.world_frame == "odom"
+        same(log.T_world_camera, alone.T_world_camera)
+    with pytest.raises(CalibrationError, match="one of: base_footprint, base_link"):
+        opened(tmp_path, one, world_frame="map")
+
+
 def test_the_world_is_not_taken_from_unrelated_poses(tmp_path, aligned):
     with pytest.raises(CalibrationError, match=r"--log\.world-frame"):
         opened(tmp_path, aligned, world_frame="nowhere")
@@ -204,6 +244,7 @@ def cropped(x: int, y: int, width: int, height: int) -> Change:
     ("changes", "shift", "factor"),
     [
         ([binned(2)], (0, 0), 2),
+        ([binned(7)], (0, 0), 7),  # the size is not a multiple of 7
         ([binned(4)], (0, 0), 4),
         ([cropped(32, 40, 100, 60)], (32, 40), 1),
         ([cropped(8, 16, 96, 64), binned(2)], (8, 16), 2),

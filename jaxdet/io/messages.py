@@ -1,6 +1,7 @@
 """Message types used by jaxdet, independent of format and encoding."""
 
 from enum import Enum
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -114,13 +115,14 @@ class CameraInfoMessage(NamedTuple):
         out before binning (sensor_msgs/CameraInfo). Some drivers store the size of their images as
         width and height, with K for this size. So this size comes first and needs no correction.
         Images with the size of the region are not accepted if there is binning: the region may be
-        in pixels before or after binning.
+        in pixels before or after binning. Drivers round the size of binned images down or up.
         """
         (bx, by), (x, y, width, height) = self.binning, self.roi
         if not (width and height):
             x, y, width, height = 0, 0, self.width, self.height
         sizes = {(self.width, self.height): (0, 0, 1, 1)}
-        sizes.setdefault((width // bx, height // by), (x, y, bx, by))
+        for size in product((width // bx, -(-width // bx)), (height // by, -(-height // by))):
+            sizes.setdefault(size, (x, y, bx, by))
         return sizes
 
 

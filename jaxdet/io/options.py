@@ -101,6 +101,8 @@ class LogOptions:
             from jaxdet.io.body_mask import masks_text  # imports NumPy
 
             object.__setattr__(self, "mask", masks_text(self.mask))
+        for name in ("camera_frame", "base_frame", "world_frame"):  # as in the messages
+            object.__setattr__(self, name, (getattr(self, name) or "").lstrip("/") or None)
         for name in ("start", "stop"):
             if getattr(self, name) is not None:
                 parse_moment(getattr(self, name), f"--{name}")

@@ -94,15 +94,15 @@ def find_base(contents: LogContents, options: LogOptions, camera_frame: str) -> 
         CalibrationError: The frame set by the flag is not connected to the camera, or the
             transforms form a cycle.
     """
-    names = [options.base_frame] if options.base_frame else _named(contents, _BASES)
+    names = [options.base_frame] if options.base_frame else _named(contents, _BASES, camera_frame)
     for name in names:
         T = contents.tree.fixed(name, camera_frame) if camera_frame else None
         if T is not None:
             frame = printable(name)
             return Base(T, name, f"camera over the floor: TF, z = 0 of frame {frame!r}")
     if options.base_frame:
-        problem = f"no static transforms connect {options.base_frame!r} and {camera_frame!r}"
-        raise CalibrationError(problem, path=contents.path, remedy="change --log.base-frame")
+        given = "--log.base-frame", "static transforms", options.base_frame
+        raise _unconnected(contents, *given, camera_frame)
     return Base(None, None, "camera over the floor: not in TF")
 
 
@@ -130,18 +130,22 @@ def pose_sources(
     """
     if options.odom:
         return [_given_track(contents, options, options.odom, camera_frame, base_frame)]
-    names = [options.world_frame] if options.world_frame else _named(contents, _WORLDS)
+    world = options.world_frame
+    names = _named(contents, _WORLDS, camera_frame)
+    if world:
+        names = [world] if contents.tree.distance(world, camera_frame) is not None else []
     sources = [
         PoseSource(f"poses: TF, frame {printable(name)!r}", camera=camera_frame, world=name)
         for name in names
-        if camera_frame and contents.tree.joins(name, camera_frame)
     ]
-    if options.world_frame:
-        if not sources:
-            problem = f"no transforms connect {options.world_frame!r} and {camera_frame!r}"
-            raise CalibrationError(problem, path=contents.path, remedy="change --log.world-frame")
+    if world and sources:
         return sources
     topics = _robot_poses(contents, depth_topic)
+    if world:
+        topics = [name for name in topics if contents.poses[name].parent == world]
+        if not topics:
+            given = "--log.world-frame", "transforms", world
+            raise _unconnected(contents, *given, camera_frame)
     last = PoseSource("poses: none in the log")
     if len(topics) == 1:
         last = _from_track(contents, topics[0], camera_frame, base_frame)
@@ -195,7 +199,33 @@ def _robot_poses(contents: LogContents, depth_topic: str) -> list[str]:
     return [name for name in topics if spaces[name] in wanted]
 
 
-def _named(contents: LogContents, names: tuple[str, ...]) -> list[str]:
-    """Return the tree's frames with these names, in this order, with or without a namespace."""
-    frames = sorted(contents.tree.frames)
-    return [frame for name in names for frame in frames if frame.split("/")[-1] == name]
+def _named(contents: LogContents, names: tuple[str, ...], camera_frame: str) -> list[str]:
+    """Return the frames of the camera's robot with these names, in this order.
+
+    Frame names may start with a namespace. If transforms connect several robots, the frame nearest
+    to the camera shows the namespace of its robot; frames of other namespaces are not used, except
+    for those that contain it.
+
+    Raises:
+        CalibrationError: The transforms form a cycle.
+    """
+    steps = dict[str, int]()
+    for frame in sorted(contents.tree.frames):
+        if frame.split("/")[-1] in names:
+            distance = contents.tree.distance(frame, camera_frame)
+            steps |= {} if distance is None else {frame: distance}
+    robot = f"/{namespace_of(min(steps, key=steps.__getitem__, default=''))}/"
+    own = [
+        frame for frame in steps if robot.startswith(f"/{namespace_of(frame)}".rstrip("/") + "/")
+    ]
+    return sorted(own, key=lambda frame: names.index(frame.split("/")[-1]))
+
+
+def _unconnected(
+    contents: LogContents, flag: str, what: str, frame: str, camera_frame: str
+) -> CalibrationError:
+    """Return the error for the frame of a flag that has no transforms to the camera."""
+    problem = f"no {what} connect {frame!r} and {camera_frame!r}"
+    frames = sorted(contents.tree.above(camera_frame)[1:]) if camera_frame else []
+    remedy = f"change {flag}" + (f", for instance to one of: {listed(frames)}" if frames else "")
+    return CalibrationError(problem, path=contents.path, remedy=remedy)

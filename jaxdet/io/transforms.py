@@ -186,13 +186,14 @@ class TransformTree:
         up, down = (self._product_at(path, stamps_ns) for path in paths)
         return matmul(inverse(up), down)
 
-    def joins(self, target: str, source: str) -> bool:
-        """Return whether a chain of static or moving transforms connects two frames.
+    def distance(self, target: str, source: str) -> int | None:
+        """Return the number of transforms between two frames; None if no chain connects them.
 
         Raises:
             TransformError: The transforms form a cycle.
         """
-        return self._paths(target, source) is not None
+        paths = self._paths(target, source)
+        return None if paths is None else sum(map(len, paths))
 
     def moving(self, target: str, source: str) -> list[str]:
         """Return the moving frames on the path between two frames."""
