@@ -15,15 +15,10 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from jaxdet.errors import ConfigError, InputError
-from jaxdet.fleet.place import Entry, Place, address, input_entry, is_url, open_place
+from jaxdet.fleet.place import Entry, address, input_entry, is_url, open_place
 
 Log = dict[str, Any]
-METADATA = "metadata.yaml"
 _SHARE = re.compile(r"(\d{1,6})/(\d{1,6})", re.ASCII)
-_MEMBER = re.compile(r"^\s*-\s*[\"']?([^\"'\s#:]+\.(?:mcap|db3))[\"']?\s*$", re.MULTILINE)
-"""A file in ``relative_file_paths`` of rosbag2's ``metadata.yaml``."""
-_NUMBER = re.compile(r"_0*[01]$")
-"""End of the name of a recording's first file; see :func:`jaxdet.find_logs`."""
 
 
 def list_logs(
@@ -31,7 +26,7 @@ def list_logs(
 ) -> list[Log]:
     """List the logs at addresses, folders and files, ordered by name.
 
-    In a bucket the files that one ``metadata.yaml`` of rosbag2 lists are one log; every other
+    In a bucket the splits that one ``metadata.yaml`` of rosbag2 lists are one log; every other
     ``.mcap``, ``.db3`` or ``.bag`` file is a separate log. If a folder holds a recording in several
     formats, one of them is used, preferably MCAP. Folders of images are not read from buckets. For
     ``join`` see :func:`jaxdet.find_logs`.
@@ -90,65 +85,46 @@ def _digest(name: str) -> int:
 
 
 def _in_bucket(url: str, join: bool) -> list[Log]:
-    from jaxdet.io.files import EXPORTED, SUFFIXES
+    from jaxdet.io.files import listed_recordings, recording_name
+    from jaxdet.io.splits import METADATA, listed_in
 
     place = open_place(url)
-    entries = {entry.key: entry for entry in place.list()}
+    entries = {PurePosixPath(entry.key): entry for entry in place.list()}
     if not entries and (found := _one_object(url)):
         return [found]
-    read = [
-        key
-        for key in sorted(entries)
-        if key.lower().endswith(SUFFIXES)
-        and not key.lower().endswith(EXPORTED)
-        and not any(part.startswith(".") for part in key.split("/"))
-    ]
-    if not read:
+    lists = [path for path in entries if join and path.name == METADATA]
+    contents = ((path.parent, place.get(str(path))) for path in lists)
+    listed = {folder: listed_in(found[0]) for folder, found in contents if found}
+    seen = [path for path in entries if not any(part.startswith(".") for part in path.parts)]
+    logs = []
+    for paths in listed_recordings(seen, listed):
+        joined, folder = len(paths) > 1, paths[0].parent
+        name = folder / recording_name(paths[0], joined=joined)
+        files = [*paths, folder / METADATA] if joined else paths
+        logs.append(_log(str(name), url, [entries[path] for path in files]))
+    if not logs:
         remedy = "name a prefix of MCAP, .db3 or .bag files; folders of images must be local"
         raise InputError("no logs found", path=url, remedy=remedy)
-    logs, seen = {}, set[str]()
-    for key in entries:
-        if join and PurePosixPath(key).name == METADATA:
-            members = _members(place, key, entries)
-            logs |= {_stem(members[0], _NUMBER): [*members, key]} if members else {}
-            seen |= {*members}
-    for suffix in SUFFIXES:
-        for key in read:
-            if key not in seen and key.lower().endswith(suffix):
-                logs.setdefault(_stem(key), [key])
-    return [_log(stem, url, [entries[key] for key in keys]) for stem, keys in logs.items()]
+    return logs
 
 
 def _one_object(url: str) -> Log | None:
     """Return the log at an address that is an object, not a prefix; None if there is no log."""
-    from jaxdet.io.files import SUFFIXES
+    from jaxdet.io.files import listed_recordings, recording_name
 
     folder, _, name = url.rpartition("/")
-    if not name.lower().endswith(SUFFIXES) or folder.endswith(":/"):
+    path = PurePosixPath(name)
+    if not listed_recordings([path], {}) or folder.endswith(":/"):
         return None
     found = [entry for entry in open_place(folder).list() if entry.key == name]
-    return _log(_stem(name), folder, found) if found else None
+    return _log(recording_name(path, joined=False), folder, found) if found else None
 
 
-def _members(place: Place, key: str, entries: dict[str, Entry]) -> list[str]:
-    """Return the files that a ``metadata.yaml`` lists; empty if one of the files is missing."""
-    found = place.get(key)
-    folder = PurePosixPath(key).parent
-    names = _MEMBER.findall(found[0].decode(errors="replace")) if found else []
-    members = [str(folder / name) for name in dict.fromkeys(names)]
-    return members if all(member in entries for member in members) else []
-
-
-def _stem(key: str, number: re.Pattern[str] | None = None) -> str:
-    stem = str(PurePosixPath(key).with_suffix(""))
-    return number.sub("", stem) if number else stem
-
-
-def _log(stem: str, url: str, entries: Iterable[Entry]) -> Log:
+def _log(name: str, url: str, entries: Iterable[Entry]) -> Log:
     from jaxdet.results.names import log_name
 
     files = [entry._asdict() for entry in entries]
-    return {"log": stem, "name": log_name(stem), "url": url, "files": files}
+    return {"log": name, "name": log_name(name), "url": url, "files": files}
 
 
 def _local(paths: Sequence[str], join: bool) -> list[Log]:

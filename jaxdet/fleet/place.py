@@ -84,7 +84,7 @@ def address(text: str | os.PathLike[str]) -> str:
     text = os.fspath(text)
     if not (found := _URL.fullmatch(text)):
         if re.match(r"[a-z][a-z0-9+]*:/", text, re.IGNORECASE):
-            remedy = "give a folder, s3://BUCKET/PATH, gs://BUCKET/PATH or az://ACCOUNT/CONTAINER"
+            remedy = "give a folder, s3://BUCKET/PATH, gs://BUCKET/PATH or az://CONTAINER/PATH"
             raise ConfigError("unsupported kind of address", path=scrub(text), remedy=remedy)
         return str(Path(text).absolute())
     url = f"{found[1].lower()}://{found[2].rstrip('/')}"

@@ -26,6 +26,7 @@ from jaxdet.fleet.publish import (
     version_of,
 )
 from jaxdet.fleet.spool import Spool, check_room, sweep
+from jaxdet.io.splits import METADATA
 from jaxdet.results.durable import remove
 from jaxdet.results.layout import FAILED, RUN, TRACKS
 
@@ -295,6 +296,9 @@ def _fetch(log: Log, folder: Path, stop: Event) -> Path:
     folder.mkdir()
     place = open_place(log["url"]) if log["url"] else None
     paths = [folder / Path(entry.key).name for entry in entries]
+    about = Path(entries[0].key).with_name(METADATA)
+    if not place and about.exists():  # otherwise the files may not count as one recording
+        (folder / METADATA).symlink_to(about)
     for entry, path in zip(entries, paths, strict=True):
         if isinstance(place, Bucket):
             place.fetch(entry, path, stop)

@@ -3,10 +3,10 @@
 import glob
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import chain, islice, pairwise
 from os import PathLike
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import NamedTuple
 
 from jaxdet.errors import InputError, printable
@@ -145,9 +145,7 @@ def _name(file: "_Named", root: Path, *, joined: bool) -> str:
     path = file.path
     if path == root:  # the input folder is a log itself
         return printable(path.resolve().name or "log")
-    own = path.name if path.is_dir() else _bare_name(path)
-    if joined and 0 <= (split := _split(path))[1] <= 1:
-        own = split[0]
+    own = path.name if path.is_dir() else recording_name(path, joined=joined)
     folders = path.parent.parts[len(root.parts) :] if path.is_relative_to(root) else ()
     return printable("/".join((*folders, own)))
 
@@ -323,17 +321,17 @@ def _nothing(
     return InputError(problem, path=where, remedy=remedy)
 
 
-def _is_recording(file: Path) -> bool:
+def _is_recording(file: PurePath) -> bool:
     """Return whether the format of a file is supported, by its name."""
     return (file.with_suffix("") if is_packed(file) else file).suffix.lower() in RECORDINGS
 
 
-def _bare_name(file: Path) -> str:
+def _bare_name(file: PurePath) -> str:
     """Return the name of a file without the suffixes of its format."""
     return (file.with_suffix("") if is_packed(file) else file).stem
 
 
-def _is_export(file: Path) -> bool:
+def _is_export(file: PurePath) -> bool:
     return file.name.lower().endswith(EXPORTED)
 
 
@@ -436,7 +434,7 @@ def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
     yield from shut
 
 
-def _split(path: Path) -> tuple[str, int]:
+def _split(path: PurePath) -> tuple[str, int]:
     """Return the common name of a recording's splits, and the split number; -1: not a split."""
     match = _SPLIT.fullmatch(path.name)
     return (match["stem"], int(match["number"])) if match else (_bare_name(path), -1)
@@ -447,5 +445,42 @@ def _series(stem: str) -> str:
     return _BEGIN.sub("", stem)
 
 
-def _order(path: Path) -> tuple[str, str, int, str]:
+def _order(path: PurePath) -> tuple[str, str, int, str]:
     return (str(path.parent), *_split(path), path.name)
+
+
+def recording_name(first: PurePath, *, joined: bool) -> str:
+    """Return the name of a recording without its folder.
+
+    Args:
+        first: First file of the recording.
+        joined: Whether the recording has further files.
+    """
+    stem, number = _split(first)
+    return stem if joined and 0 <= number <= 1 else _bare_name(first)
+
+
+def listed_recordings(
+    files: Iterable[PurePath], listed: Mapping[PurePath, Collection[str]]
+) -> list[list[PurePath]]:
+    """Return the recordings among files that can't be read yet, by their names alone.
+
+    If a folder has a recording in several formats, the preferred one is used.
+
+    Args:
+        files: All files, in any order.
+        listed: Names of the files listed in the ``metadata.yaml`` of each folder that has one.
+            Splits that are listed are one recording; all other files are separate recordings.
+    """
+    rank = {suffix: number for number, suffix in enumerate(SUFFIXES)}
+    chosen: dict[PurePath, PurePath] = {}
+    found = [path for path in files if _is_recording(path) and not _is_export(path)]
+    for path in sorted(found, key=lambda path: (rank[path.suffix.lower()], path)):
+        chosen.setdefault(path.parent / _bare_name(path), path)
+    groups: dict[tuple[PurePath, str, str], list[PurePath]] = {}
+    for path in sorted(chosen.values(), key=_order):
+        stem, number = _split(path)
+        is_split = number >= 0 and path.name in listed.get(path.parent, ())
+        key = path.parent, _series(stem) if is_split else path.name, path.suffix
+        groups.setdefault(key, []).append(path)
+    return [*groups.values()]

@@ -14,7 +14,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import zstandard
 
@@ -67,7 +67,7 @@ def open_file(path: Path, max_bytes: int, memory: ReadMemory | None = None) -> L
     return file
 
 
-def is_packed(path: Path) -> bool:
+def is_packed(path: PurePath) -> bool:
     """Return whether the suffix of a file is that of a compressed file."""
     return path.suffix.lower() in PACKED
 

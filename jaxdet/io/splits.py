@@ -33,6 +33,7 @@ _MAX_GAP_NS = 1_000_000_000
 METADATA = "metadata.yaml"
 """File in which rosbag2 lists the files of a recording."""
 _LISTED = re.compile(r"^[ \t]*relative_file_paths:[ \t]*\n((?:[ \t]*-[^\n]*\n?)+)", re.MULTILINE)
+_ITEM = re.compile(r"""^[ \t]*-[ \t]*(["']?)(.+?)\1\s*(?:[ \t]#.*)?$""", re.MULTILINE)
 _MOST_BYTES = 1 << 20
 
 
@@ -193,10 +194,13 @@ def listed_files(folder: Path) -> frozenset[str]:
     """Return the names of the files listed in the ``metadata.yaml`` of a folder."""
     try:
         with (folder / METADATA).open("rb") as file:
-            text = file.read(_MOST_BYTES).decode(errors="replace")
+            return listed_in(file.read(_MOST_BYTES))
     except OSError:
         return frozenset()
-    match = _LISTED.search(text)
-    lines = match[1].splitlines() if match else ()
-    names = (line.strip().removeprefix("-").strip().strip("'\"") for line in lines)
-    return frozenset(PurePosixPath(name).name for name in names if name)
+
+
+def listed_in(metadata: bytes) -> frozenset[str]:
+    """Return the names of the files listed in the content of a ``metadata.yaml``."""
+    match = _LISTED.search(metadata.decode(errors="replace"))
+    names = _ITEM.findall(match[1]) if match else []
+    return frozenset(PurePosixPath(name.strip()).name for _, name in names)

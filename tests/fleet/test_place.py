@@ -156,6 +156,47 @@ def test_logs_of_a_bucket_are_listed(stores):
     assert logs["day/a"]["name"] == "day--a" and size_of(logs["b"]) == 6
 
 
+LISTED = "rosbag2_bagfile_information:\n  relative_file_paths:\n"
+LAYOUTS = {
+    "one file": {"r/r_0.mcap": "", "r/metadata.yaml": "    - r_0.mcap\n"},
+    "quotes": {
+        "r/my r_0.mcap": "",
+        "r/my r_1.mcap": "",
+        "r/metadata.yaml": "  - 'my r_0.mcap'\n  - \"my r_1.mcap\"  # last\n",
+    },
+    "packed": {"a.mcap.zst": "", "a.mcap": "", "b.bag.bz2": "", "x.csv.zst": ""},
+    "packed splits": {
+        "r/r_0.db3.zstd": "",
+        "r/r_1.db3.zstd": "",
+        "r/metadata.yaml": "  - r_0.db3.zstd\n  - r_1.db3.zstd\n",
+    },
+    "other names": {"r/a.mcap": "", "r/b.mcap": "", "r/metadata.yaml": "  - a.mcap\n  - b.mcap\n"},
+    "a missing file": {
+        "r_0.mcap": "",
+        "r_2.mcap": "",
+        "metadata.yaml": "  - r_0.mcap\n  - r_1.mcap\n  - r_2.mcap\n",
+    },
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_logs_have_the_same_names_in_a_bucket_and_in_a_folder(layout, stores, tmp_path):
+    url = "s3://bucket/logs"
+    for name, text in LAYOUTS[layout].items():
+        content = (LISTED + text if text else name).encode()
+        open_place(url).put(name, content)
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(content)
+
+    def files(place) -> dict[str, list[str]]:
+        named = {
+            log["log"]: [Path(f["key"]).name for f in log["files"]] for log in list_logs(place)
+        }
+        return {log: [name for name in names if "yaml" not in name] for log, names in named.items()}
+
+    assert files(url) == files(tmp_path)
+
+
 def test_a_bucket_without_logs_is_an_error(stores):
     with pytest.raises(InputError, match="no logs"):
         list_logs("s3://bucket/nothing")

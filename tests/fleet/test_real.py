@@ -93,6 +93,22 @@ def test_results_of_shares_are_recognized_by_a_run_on_one_machine(tmp_path, caps
     assert main(["verify", out]) == 0
 
 
+def test_a_share_joins_the_files_listed_in_metadata_even_after_a_pause(tmp_path, capsys):
+    logs, out = tmp_path / "logs", str(tmp_path / "out")
+    logs.mkdir()
+    for number in range(2):
+        start = (1_700_000_000 + 5 * number) * 10**9
+        sim = SimConfig(frames=2, width=160, height=120, start_ns=start)
+        write_log(logs / f"r_{number}.mcap", sim)
+    listed = "relative_file_paths:\n  - r_0.mcap\n  - r_1.mcap\n"
+    (logs / "metadata.yaml").write_text(listed)
+    command = ["run", str(logs), "-o", out, "--pictures", "0"]
+    assert main([*command, "--share", "1/1"]) == 0
+    assert "1 logs: 1 done; 4 frames" in capsys.readouterr().out
+    assert main(command) == 0
+    assert "1 log processed earlier: 4 frames" in capsys.readouterr().out
+
+
 def test_recipes_are_valid_yaml():
     yaml = pytest.importorskip("yaml")
     page = Path(__file__).parents[2] / "jaxdet/help/fleets.md"
