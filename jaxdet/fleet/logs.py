@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from os import PathLike
-from pathlib import PurePosixPath
+from pathlib import PurePath, PurePosixPath
 from typing import Any
 
 from jaxdet.errors import ConfigError, InputError
@@ -89,12 +89,14 @@ def _in_bucket(url: str, join: bool) -> list[Log]:
     from jaxdet.io.splits import METADATA, listed_in
 
     place = open_place(url)
-    entries = {PurePosixPath(entry.key): entry for entry in place.list()}
+    entries: dict[PurePath, Entry] = {PurePosixPath(entry.key): entry for entry in place.list()}
     if not entries and (found := _one_object(url)):
         return [found]
     lists = [path for path in entries if join and path.name == METADATA]
     contents = ((path.parent, place.get(str(path))) for path in lists)
-    listed = {folder: listed_in(found[0]) for folder, found in contents if found}
+    listed: dict[PurePath, frozenset[str]] = {
+        folder: listed_in(found[0]) for folder, found in contents if found
+    }
     seen = [path for path in entries if not any(part.startswith(".") for part in path.parts)]
     logs = []
     for paths in listed_recordings(seen, listed):
