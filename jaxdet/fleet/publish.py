@@ -28,7 +28,7 @@ from jaxdet.errors import InputError
 from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
 from jaxdet.results.durable import finish, publish, remove, writing
-from jaxdet.results.layout import FAILED, FLEET, MANIFEST
+from jaxdet.results.layout import FAILED, FLEET, MANIFEST, SUMMARY
 
 CURRENT = "current.json"
 MOST_KILLED = 3
@@ -184,6 +184,11 @@ class BucketResults(_Attempts):
         names = [*manifest["files"], MANIFEST] if manifest else ()
         return {file: f"{own}/{file}" for file in names}
 
+    def summary(self, name: str) -> dict[str, Any]:
+        """Return the content of a log's ``summary.json``; empty without results."""
+        key = self.files(name).get(SUMMARY)
+        return (self._json(key) if key else None) or {}
+
     def _point(self, target: Target, to: Mapping[str, Any], seen: Standing) -> str:
         """Write ``current.json``, unless another attempt has published since ``seen`` was read.
 
@@ -238,7 +243,12 @@ class FolderResults(_Attempts):
         return parent / f"{process()}-{attempt}"
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
-        return self._place(target, staged, ("whole",))
+        return self._place(target, staged, () if seen.state == "whole" else ("whole",))
+
+    def summary(self, name: str) -> dict[str, Any]:
+        """Return the content of a log's ``summary.json``; empty without results."""
+        found = self.place.get(f"{name}/{SUMMARY}")
+        return json.loads(found[0]) if found else {}
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
         staged = self.stage(f"failed-{secrets.token_hex(4)}", Path())

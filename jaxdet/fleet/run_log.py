@@ -138,8 +138,12 @@ class _Job:
         self.seen = seen = self.results.standing(self.target)
         current = seen.current or {}
         if seen.state == "whole":
-            self._end("there", error=self._add_tracks())
-            return False
+            about = self.results.summary(self.target.name)
+            lost = [frames for log in about.get("logs", ()) for frames in log["lost"]]
+            if not (lost and how.get("update")):
+                counts = {key: about.get(key, 0) for key in ("frames", "obstacles")}
+                self._end("there", error=self._add_tracks(), lost=lost, **counts)
+                return False
         if seen.state == "failed":
             failure = current["failure"]
             if not how.get("update") or failure.get("command") == how["command"]:

@@ -59,9 +59,11 @@ def run_one(log_path, folder, how):
     rows = hashlib.sha256(content + json.dumps(how.get("config"), sort_keys=True).encode())
     (folder / "obstacles.parquet").write_text(rows.hexdigest())
     (folder / "pictures/000000.png").write_bytes(rows.digest())
-    (folder / "summary.json").write_text(json.dumps({"log": how["name"], "it": uuid.uuid4().hex}))
+    lost = ["frame 1"] if b"lose" in content and not before else []
+    about = {"log": how["name"], "it": uuid.uuid4().hex, "frames": 3, "logs": [{"lost": lost}]}
+    (folder / "summary.json").write_text(json.dumps(about))
     write_manifest(folder, paths, how)
-    return {"error": None, "frames": 3, "obstacles": 2, "lost": [], "warnings": []}
+    return {"error": None, "frames": 3, "obstacles": 2, "lost": lost, "warnings": []}
 
 
 _NONE = {"frames": 0, "obstacles": 0, "lost": [], "warnings": []}

@@ -62,6 +62,17 @@ def test_update_runs_failed_and_changed_logs_again(stores, engine, how, put, tmp
     assert len(kept) == 2  # current.json and one attempt
 
 
+@pytest.mark.parametrize("bucket", [True, False], ids=("bucket", "folder"))
+def test_lost_frames_are_reported_again_until_an_update(bucket, stores, engine, how, put, tmp_path):
+    put(LOGS, a="lose")
+    results = RESULTS if bucket else str(tmp_path / "results")
+    given = [how, how, {**how, "update": True}, how]
+    found = [run_fleet([LOGS], results, each)[0] for each in given]
+    assert [one["state"] for one in found] == ["done", "there", "done", "there"]
+    assert [one["lost"] for one in found] == [["frame 1"], ["frame 1"], [], []]
+    assert computed(engine) == ["a", "a"]
+
+
 def test_another_configuration_is_refused_unless_results_are_overwritten(
     stores, engine, how, put, tmp_path
 ):
