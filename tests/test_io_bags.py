@@ -103,6 +103,17 @@ def test_db3_without_definitions_uses_those_of_ros(mcap, db3, tmp_path):
         assert_same(log, expected)
 
 
+def test_a_db3_file_whose_table_was_copied_without_its_key_is_read(mcap, db3, tmp_path):
+    path = copy(db3, tmp_path)
+    with closing(sqlite3.connect(path)) as file, file:
+        columns = "id + 10 AS id, topic_id, timestamp, data"
+        file.execute(f"CREATE TABLE copied AS SELECT {columns} FROM messages")
+        file.execute("DROP TABLE messages")
+        file.execute("ALTER TABLE copied RENAME TO messages")
+    with open_log(str(path)) as log, open_log(str(mcap)) as expected:
+        assert_same(log, expected)
+
+
 def test_a_recording_of_librealsense_is_read(shared_data):
     folder = shared_data / "realsense_d435_bag"
     source = folder / "unit-tests" / "resources" / "single_depth_color_640x480.bag"
@@ -215,7 +226,7 @@ def test_a_recording_in_several_formats_is_one_log(mcap, bag, db3, tmp_path):
     for text in (
         "sim.bag is left out",
         "sim.db3 is left out",
-        "other.svo2 is left out: play",
+        "other.svo2 is left out: play it with zed-ros2-wrapper",
         "other.r3d is left out: in Record3D, export it as EXR",
     ):
         assert text in log.note

@@ -1,6 +1,7 @@
 """ROS 2 recordings in SQLite (``.db3`` of rosbag2).
 
-The number of a message is its ``id``; SQLite can read any part of a blob separately. The tables are
+The number of a message is its ``rowid``, which is ``id`` unless a tool copied the table without its
+primary key; SQLite can read any part of a blob separately. The tables are
 the file's own index; if pages are damaged, the tables are read row by row. Source: rosbag2's
 ``rosbag2_storage_sqlite3``, schemas 1 to 4.
 """
@@ -26,7 +27,7 @@ from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
 from jaxdet.io.messages import kind_of
 
-_ROW = "SELECT topic_id, timestamp, length(data), typeof(data) FROM messages WHERE id = ?"
+_ROW = "SELECT topic_id, timestamp, length(data), typeof(data) FROM messages WHERE rowid = ?"
 _TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
 _XINFO = "table_xinfo"
 """Pragma that lists the columns of a table, including generated ones."""
@@ -46,14 +47,14 @@ _DAMAGED = "page is damaged"
 _MAX_LOST = 100_000
 """Maximum number of ids that are tried one by one if pages are damaged; this takes a few seconds.
 """
-_INDEX = "SELECT id, topic_id, timestamp FROM messages ORDER BY id"
-_DATA = """SELECT id, topic_id, timestamp,
+_INDEX = "SELECT rowid, topic_id, timestamp FROM messages ORDER BY rowid"
+_DATA = """SELECT rowid, topic_id, timestamp,
 CASE WHEN length(data) <= :most THEN data END, length(data)
-FROM messages WHERE id > :before ORDER BY id LIMIT :count"""
-_WITHOUT_DATA = """SELECT id, topic_id, timestamp, NULL, length(data)
-FROM messages WHERE id > :before ORDER BY id LIMIT :count"""
+FROM messages WHERE rowid > :before ORDER BY rowid LIMIT :count"""
+_WITHOUT_DATA = """SELECT rowid, topic_id, timestamp, NULL, length(data)
+FROM messages WHERE rowid > :before ORDER BY rowid LIMIT :count"""
 _COUNT = "SELECT count(*) FROM messages INDEXED BY timestamp_idx"
-_GREATEST = "SELECT max(id) FROM messages INDEXED BY timestamp_idx WHERE timestamp >= 0"
+_GREATEST = "SELECT max(rowid) FROM messages INDEXED BY timestamp_idx WHERE timestamp >= 0"
 _TOPICS = "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
 _DEFINITIONS = """SELECT topic_type, encoding, encoded_message_definition
 FROM message_definitions WHERE length(encoded_message_definition) <= ? ORDER BY id"""
@@ -303,7 +304,7 @@ def _rows(file: SqliteFile, lost: Counter[str]) -> Iterator[tuple[Any, ...]]:
 def _last_number(file: SqliteFile) -> int:
     """Return the largest message id, from the messages or the index of their times."""
     numbers = [0]
-    for text in ("SELECT max(id) FROM messages", _GREATEST):
+    for text in ("SELECT max(rowid) FROM messages", _GREATEST):
         with suppress(DamageError):
             numbers += [number or 0 for (number,) in file.query(text)]
     return max(numbers)
