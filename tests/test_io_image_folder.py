@@ -329,8 +329,9 @@ def depth_poses(count: int = 3) -> np.ndarray:
     return T
 
 
+@pytest.mark.parametrize("matrices", ["intrinsic/intrinsic", "intrinsics"])
 @pytest.mark.parametrize("lost", [False, True])
-def test_scannet_folders_have_both_calibrations_and_poses(tmp_path, lost):
+def test_scannet_folders_have_both_calibrations_and_poses(tmp_path, lost, matrices):
     write(tmp_path, [f"color/{i}.jpg" for i in (0, 1, 10)], [])
     for image, number in zip(images()[1], (0, 1, 10), strict=True):
         (tmp_path / "depth").mkdir(exist_ok=True)
@@ -340,7 +341,7 @@ def test_scannet_folders_have_both_calibrations_and_poses(tmp_path, lost):
     for kind, factor in (("color", 1), ("depth", 2)):
         matrix = np.eye(4)
         matrix[[0, 1, 0, 1], [0, 1, 2, 2]] = np.array(K) / factor
-        np.savetxt(tmp_path / f"intrinsic/intrinsic_{kind}.txt", matrix)
+        np.savetxt(tmp_path / f"{matrices}_{kind}.txt", matrix)
     poses = depth_poses()
     for T, number in zip(poses, (0, 1, 10), strict=True):
         T = np.full((4, 4), -np.inf) if lost and number == 1 else T
@@ -454,6 +455,10 @@ def test_record3d_folders_with_depth_in_png_are_read(tmp_path):
         assert np.diff(log.stamps_ns).tolist() == pytest.approx([1e9 / 60] * 2, abs=2)
         assert log.stamps_ns[0] == 10**9  # zero would mean that there is no timestamp
         assert_phone_poses(log)
+    swapped = about | {"w": height, "h": width}
+    (tmp_path / "metadata.json").write_text(json.dumps(swapped))
+    with pytest.raises(InputError, match=r"matrix is for 30x40 pixels, but images have 40x30"):
+        open_log(str(tmp_path))
     for path in (tmp_path / "depth").iterdir():
         path.rename(path.with_suffix(".exr"))
     with pytest.raises(InputError, match=r"OpenEXR .* is not supported; convert it to 16-bit PNG"):

@@ -52,18 +52,22 @@ def _read_7_scenes(folder: Path) -> Recording | None:
 
 
 def _read_scannet(folder: Path) -> Recording | None:
-    """Read a folder with the camera matrices (4, 4) of both images in ``intrinsic``."""
-    if not (folder / "intrinsic").is_dir():
+    """Read a folder with the camera matrices (4, 4) of both images in ``intrinsic``.
+
+    ScanNet's small subset (``scannet_frames_25k``) has them in ``intrinsics_color.txt`` and
+    ``intrinsics_depth.txt``.
+    """
+    if not ((folder / "intrinsic").is_dir() or (folder / "intrinsics_color.txt").is_file()):
         return None
     return basic.read(folder, cameras=_scannet_cameras)
 
 
 def _scannet_cameras(folder: Path, color: Sequence[Image], depth: Sequence[Image]) -> Cameras:
-    matrices = folder / "intrinsic"
-    return Cameras(
-        _camera(matrices / "intrinsic_color.txt", 4, color),
-        _camera(matrices / "intrinsic_depth.txt", 4, depth),
-    )
+    def camera(kind: str, images: Sequence[Image]) -> Intrinsics | None:
+        path = folder / "intrinsic" / f"intrinsic_{kind}.txt"
+        return _camera(path if path.is_file() else folder / f"intrinsics_{kind}.txt", 4, images)
+
+    return Cameras(camera("color", color), camera("depth", depth))
 
 
 def _read_sun3d(folder: Path) -> Recording | None:

@@ -41,6 +41,8 @@ from jaxdet.types import Intrinsics
 ODOMETRY, MATRIX, METADATA = "odometry.csv", "camera_matrix.csv", "metadata.json"
 _VIDEO_SIZE = 1920, 1440
 """Image size of Stray Scanner's camera matrix [pixel]."""
+_MAX_STRETCH = 0.02
+"""Maximum relative difference of two aspect ratios, as sizes are rounded to pixels."""
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """Transform from ARKit's world to a world with z up."""
 _ARKIT_OPTICAL = np.diag([1.0, -1, -1, 1])
@@ -146,4 +148,7 @@ def _camera(K: np.ndarray, size: tuple[int, int], images: Sequence[Image]) -> In
     if not (own := image_size(images)):
         return None
     x, y = own[0] / size[0], own[1] / size[1]
+    if abs(x / y - 1) > _MAX_STRETCH:
+        sizes = f"{size[0]}x{size[1]} pixels, but images have {own[0]}x{own[1]}"
+        raise ValueError(f"the camera matrix is for {sizes}")
     return Intrinsics(*own, K[0, 0] * x, K[1, 1] * y, K[0, 2] * x, K[1, 2] * y)
