@@ -180,6 +180,14 @@ def test_links_have_their_own_names(tmp_path):
     assert find_logs([one, str(tmp_path / "drives/latest.mcap")]) == find_logs([one])
 
 
+def test_links_whose_targets_are_inaccessible_do_not_affect_others(tmp_path):
+    touch(tmp_path, "a.mcap")
+    for name in ("b.mcap", "notes"):
+        (tmp_path / name).symlink_to("x" * 300)  # too long for a name
+    [log] = find_logs([str(tmp_path)])
+    assert log.name == "a" and log.note == "b.mcap is left out: a broken link"
+
+
 def test_an_unreadable_folder_is_a_failed_log(tmp_path, monkeypatch):
     """Either its content cannot be listed or its files cannot be accessed."""
     touch(tmp_path, "a.mcap", "unlisted/b.mcap", "unsearched/c.mcap", "z.mcap")

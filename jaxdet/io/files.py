@@ -25,6 +25,8 @@ _SPLIT = re.compile(
 """Name of a split. Numbers of six and more digits are dates or times unless they start with 00."""
 _BEGIN = re.compile(r"(?:^|_)\d{4}(?:-\d\d){5}$")
 """Time at which a split of ROS 1 begins, in its name before the number."""
+_AS_IMAGES = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
+_ZED = "play it with zed-ros2-wrapper and record the topics as MCAP"
 _OTHERS = {
     ".zstd": "rename the recording to NAME.mcap.zstd",
     ".zst": "rename the recording to NAME.mcap.zst",
@@ -32,18 +34,15 @@ _OTHERS = {
     ".mcap.active": "remove .active from its name once nothing writes to it",
     ".db3.active": "remove .active from its name once nothing writes to it",
     ".active": "run rosbag reindex on it and rename it to .bag",
-    ".svo": "play it to ROS 2 topics and record them as MCAP",
-    ".svo2": "play it to ROS 2 topics and record them as MCAP",
-    ".mkv": "play it to ROS 2 topics and record them as MCAP",
-    ".oni": "play it to ROS 2 topics and record them as MCAP",
+    ".svo": _ZED,
+    ".svo2": _ZED,
+    ".mkv": "if it is from an Azure Kinect, export it with Open3D's azure_kinect_mkv_reader.py",
+    ".oni": f"open it with OpenNI 2, and {_AS_IMAGES}",
     ".sens": "export its images with ScanNet's SensReader",
     ".r3d": "in Record3D, export it as EXR + JPG sequence, and convert its depth to PNG as jaxdet "
     "help logs shows",
 }
 """Unsupported recordings by the end of their names, with remedies; the first match counts."""
-_DATASET = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
-"""Remedy for a LeRobot dataset, whose depth is video of 12 bits, TIFF or Parquet, depending on the
-version, and which has no camera calibration."""
 _PNG = "convert it to 16-bit PNG in millimetres, as jaxdet help logs shows (the Python package "
 _PNG += "OpenEXR reads it)"
 EXPORTED = ".jaxdet.mcap"
@@ -247,10 +246,10 @@ def _files(text: str) -> tuple[list[Path], str]:
         text = str(Path(text).parent)  # metadata.yaml of rosbag2 names the files in its folder
     path, seen, rest, above = Path(text), list[Path](), list[Path](), list[Path]()
     for item in _seen(text, above):
-        (seen if item.is_file() else rest).append(item)
-    shut = [item for item in rest if item.is_dir()]
+        (seen if os.path.isfile(item) else rest).append(item)
+    shut = [item for item in rest if os.path.isdir(item)]
     links = [item for item in rest if item.is_symlink() and _is_recording(item)]
-    gone = [item for item in links if not item.exists()]
+    gone = [item for item in links if not os.path.exists(item)]
     others = [file for file in seen if _advice(file)]
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
     exports = [file for file in seen if _is_export(file)]
@@ -271,8 +270,9 @@ def _files(text: str) -> tuple[list[Path], str]:
         problem = "depth in OpenEXR files (for example from Record3D) is not supported"
         raise InputError(problem, path=str(exr[0].parent), remedy=_PNG)
     if not found and datasets:
+        # Their depth is video of 12 bits, TIFF or Parquet, depending on the version.
         problem = "LeRobot datasets are not supported, as they contain no camera calibration"
-        raise InputError(problem, path=str(datasets[0]), remedy=_DATASET)
+        raise InputError(problem, path=str(datasets[0]), remedy=_AS_IMAGES)
     if not found:
         raise _nothing(text, others, exports, gone)
     taken, left = _preferred(found)
