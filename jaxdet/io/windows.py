@@ -172,7 +172,8 @@ class StreamWindows:
         """Return the messages of the frames from ``first`` to ``last``, exclusive.
 
         Raises:
-            RescanError: The messages are too far from the order of their timestamps.
+            RescanError: The messages are too far from the order of their timestamps, or an image
+                may occur twice.
             DamageError: A message is not at its position in the index.
         """
         if self._order is not None:
@@ -186,6 +187,9 @@ class StreamWindows:
                 problem = "header timestamps are far from the order of log times"
                 raise RescanError(problem, path=self._path, topic=self.topic)
         order = start + np.argsort(stamps, kind="stable")
+        same = (np.diff(self.stamp[order]) == 0) & (np.diff(self.size[order]) == 0)
+        if (same & (self.stamp[order[1:]] > 0)).any():
+            raise RescanError("images may occur twice", path=self._path, topic=self.topic)
         return order[first - start : last - start]
 
     def notes(self, first: int, last: int, ranked: np.ndarray) -> StreamNotes:
