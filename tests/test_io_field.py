@@ -359,7 +359,23 @@ def test_disparity_is_not_read_as_depth(tmp_path, aligned, topic, encoding):
         assert "aligned" in log.description.choices[0]
 
 
-@pytest.mark.parametrize(("baseline", "least"), [(0.05, 0.0), (-0.12, 6.0)])
+@pytest.mark.parametrize(("focal", "baseline"), [(0.0, 0.05), (200.0, 0.0), (float("nan"), 0.05)])
+def test_disparity_without_focal_length_or_baseline_is_refused(tmp_path, aligned, focal, baseline):
+    def change(message: Message) -> list[Message] | None:
+        if message.topic != ALIGNED:
+            return None
+        message.show(np.full(message.pixels.shape, 9, np.float32), "32FC1")
+        body = {"header": message.body["header"], "image": message.body, "f": focal, "t": baseline}
+        window = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+        body |= {"valid_window": window, "min_disparity": 0.0, "max_disparity": 99.0}
+        kind = "stereo_msgs/DisparityImage"
+        return [Message("/stereo/disparity", kind, {**body, "delta_d": 0.1}, message.log_ns)]
+
+    with pytest.raises(TopicError, match=r"has focal length .* and baseline .* can't be computed"):
+        opened(tmp_path, changed(aligned, change))
+
+
+@pytest.mark.parametrize(("baseline", "least"), [(0.05, 0.0), (-0.12, 6.0), (0.05, float("nan"))])
 def test_disparity_with_focal_length_and_baseline_is_converted(tmp_path, aligned, baseline, least):
     with opened(tmp_path, aligned) as whole:
         expected, focal = depths(whole).astype(int), whole.calibration.depth.fx
@@ -380,7 +396,7 @@ def test_disparity_with_focal_length_and_baseline_is_converted(tmp_path, aligned
 
     with opened(tmp_path, changed(aligned, change)) as log:
         found = depths(log).astype(int)
-        far = expected > 1000 * focal * abs(baseline) / least if least else expected < 0
+        far = expected > 1000 * focal * abs(baseline) / least if least > 0 else expected < 0
         assert np.abs(found - expected)[~far].max() <= 1 and not found[far].any()
 
 
@@ -768,6 +784,27 @@ def test_duplicates_in_a_merged_recording_count_once(tmp_path, aligned, late_ns,
         assert any(
             "occur twice (same timestamp and content)" in t for t in log.description.warnings
         )
+
+
+@pytest.mark.parametrize("late_ns", [3_000, 1_000_000])
+def test_duplicates_that_begin_late_in_a_recording_count_once(tmp_path, aligned, late_ns):
+    """The first images occur once, and no two log times are equal."""
+    many = changed(aligned)
+    for number in range(1, 4):
+        some = changed(aligned)
+        for message in some:
+            message.log_ns += number * SECOND
+            message.delay(number * SECOND)
+        many += some
+    again = [item for item in changed(many) if item.log_ns > many[0].log_ns + 2 * SECOND]
+    for message in again:
+        message.log_ns += late_ns
+    source = write_messages(tmp_path / "merged.mcap", many + again)
+    with opened(tmp_path, many) as whole:
+        expected = depths(whole)
+    assert main(["run", str(source), "-o", str(tmp_path / "out"), "--pictures", "0", "-q"]) == 0
+    frames = json.loads((tmp_path / "out" / "merged" / "summary.json").read_text())["frames"]
+    assert frames == len(expected) == 24
 
 
 @pytest.mark.parametrize("topics", [("/tf", "/odom"), ("/camera/camera/aligned",)])

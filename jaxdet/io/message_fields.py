@@ -104,11 +104,14 @@ def _disparity(message: Any, name: str) -> ImageMessage:
     if image.encoding.upper() != "32FC1":
         raise ValueError(f"expected a disparity image with encoding 32FC1, got {image.encoding!a}")
     baseline = float(message.t if hasattr(message, "t") else message.T)
+    focal, least = float(message.f), float(message.min_disparity)
+    if not 0 < focal * abs(baseline) < math.inf:
+        text = f"focal length {focal:g} and baseline {baseline:g} m"
+        raise ValueError(f"the disparity image has {text}; depth can't be computed")
     found = float_pixels(image).astype(np.float32)
-    least = max(float(message.min_disparity), 0.0)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        depth = np.float32(float(message.f) * abs(baseline)) / found
-    depth = np.where(np.isfinite(found) & (found > 0) & (found >= least), depth, np.float32(0))
+        depth = np.float32(focal * abs(baseline)) / found
+    depth = np.where(np.isfinite(found) & (found > 0) & ~(found < least), depth, np.float32(0))
     data = depth.astype("<f4").tobytes()
     return image._replace(
         stamp_ns=stamp,
