@@ -77,6 +77,14 @@ def test_a_huge_message_is_reported_as_damage(tmp_path: Path):
     ends_in_a_line(path, also_read=True)
 
 
+@pytest.mark.parametrize("column", ["name", "type"])
+def test_huge_texts_of_topics_are_not_read(tmp_path: Path, column: str):
+    path = convert_log(write_log(tmp_path / "x.mcap"), tmp_path / "db")
+    with closing(sqlite3.connect(path)) as file, file:
+        file.execute(f"UPDATE topics SET {column} = printf('%.*c', 100000000, 'x') WHERE id <= 3")
+    ends_in_a_line(path)
+
+
 def ends_in_a_line(path: Path, also_read: bool = False) -> None:
     tracemalloc.start()
     begin = time.monotonic()

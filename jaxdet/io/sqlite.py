@@ -57,7 +57,7 @@ _COUNT = "SELECT count(*) FROM messages INDEXED BY timestamp_idx"
 _GREATEST = "SELECT max(rowid) FROM messages INDEXED BY timestamp_idx WHERE timestamp >= 0"
 _TOPICS = "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
 _DEFINITIONS = """SELECT topic_type, encoding, encoded_message_definition
-FROM message_definitions WHERE length(encoded_message_definition) <= ? ORDER BY id"""
+FROM message_definitions ORDER BY id"""
 
 
 class SqliteFile(MessageFile):
@@ -145,16 +145,21 @@ class SqliteFile(MessageFile):
         )
 
     def query(
-        self, text: str, values: Sequence[object] | Mapping[str, object] = ()
+        self,
+        text: str,
+        values: Sequence[object] | Mapping[str, object] = (),
+        most: int = _MAX_BYTES,
     ) -> Iterator[tuple[Any, ...]]:
-        """Yield the rows of a query.
+        """Yield the rows of a query, which may use values of up to ``most`` bytes.
 
         Raises:
             DamageError: SQLite reports an error.
         """
         patience_s = _PATIENCE_S + self.size / _BYTES_PER_S
         try:
-            rows = self._connection().execute(text, values)
+            connection = self._connection()
+            connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self.max_bytes, most))
+            rows = connection.execute(text, values)
             while True:
                 self._of_thread.until = time.monotonic() + patience_s
                 row = next(rows, None)
@@ -204,7 +209,6 @@ class SqliteFile(MessageFile):
             # so that the available part of a truncated file can be read
             found.execute("PRAGMA writable_schema = ON")
             found.execute("PRAGMA trusted_schema = OFF")
-            found.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self.max_bytes, _MAX_BYTES))
             found.set_authorizer(_authorize)
             found.set_progress_handler(self._takes_too_long, _STEPS)
         except sqlite3.Error as error:
@@ -324,12 +328,14 @@ def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
     Raises:
         DamageError: The table can't be read.
     """
-    topics, known = list(file.query(_TOPICS)), {}
+    topics = list(file.query(_TOPICS, most=MAX_SCHEMA_BYTES))
     check_topics(len(topics), str(file.path))
+    types, known, found = {name for _, _, name, _ in topics}, {}, {}
+    rows = file.query(_DEFINITIONS, most=MAX_SCHEMA_BYTES)
     with suppress(DamageError):
-        rows = file.query(_DEFINITIONS, (MAX_SCHEMA_BYTES,))
-        known = {row[0]: row[1:] for row in (rows if "message_definitions" in file.tables else ())}
-    found = {}
+        for name, *definition in rows if "message_definitions" in file.tables else ():
+            if name in types:
+                known[name] = definition
     for number, topic, name, encoding in topics:
         schema, text = known.get(name, ("", ""))
         data = str(text).encode()
