@@ -184,10 +184,9 @@ class BucketResults(_Attempts):
         names = [*manifest["files"], MANIFEST] if manifest else ()
         return {file: f"{own}/{file}" for file in names}
 
-    def summary(self, name: str) -> dict[str, Any]:
-        """Return the content of a log's ``summary.json``; empty without results."""
-        key = self.files(name).get(SUMMARY)
-        return (self._json(key) if key else None) or {}
+    def summary(self, target: Target, attempt: str) -> dict[str, Any]:
+        """Return the content of ``summary.json`` of an attempt; empty if it was replaced."""
+        return self._json(f"{target.name}/{attempt}/{SUMMARY}") or {}
 
     def _point(self, target: Target, to: Mapping[str, Any], seen: Standing) -> str:
         """Write ``current.json``, unless another attempt has published since ``seen`` was read.
@@ -245,9 +244,8 @@ class FolderResults(_Attempts):
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
         return self._place(target, staged, () if seen.state == "whole" else ("whole",))
 
-    def summary(self, name: str) -> dict[str, Any]:
-        """Return the content of a log's ``summary.json``; empty without results."""
-        found = self.place.get(f"{name}/{SUMMARY}")
+    def summary(self, target: Target, attempt: str) -> dict[str, Any]:
+        found = self.place.get(f"{target.name}/{SUMMARY}")
         return json.loads(found[0]) if found else {}
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:

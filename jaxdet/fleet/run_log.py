@@ -138,7 +138,7 @@ class _Job:
         self.seen = seen = self.results.standing(self.target)
         current = seen.current or {}
         if seen.state == "whole":
-            about = self.results.summary(self.target.name)
+            about = self.results.summary(self.target, current.get("attempt", ""))
             lost = [frames for log in about.get("logs", ()) for frames in log["lost"]]
             if not (lost and how.get("update")):
                 counts = {key: about.get(key, 0) for key in ("frames", "obstacles")}
