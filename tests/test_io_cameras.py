@@ -1,11 +1,13 @@
 """Several cameras in a log: names, choice of the camera, notes on the others."""
 
+import cv2
+import numpy as np
 import pytest
 
 from jaxdet.errors import CalibrationError, CamerasError, TopicError
 from jaxdet.io import LogOptions, indexed, open_log
 from jaxdet.io.topics import camera_name
-from tests.io_both_ways import is_indexed
+from tests.io_both_ways import is_indexed, open_both_ways
 from tests.io_helpers import (
     COLOR_FRAME,
     COLOR_K,
@@ -13,7 +15,9 @@ from tests.io_helpers import (
     START,
     LogFile,
     Scene,
+    convert_log,
     make_scene,
+    ros_compressed,
     ros_image,
     ros_info,
     ros_tf,
@@ -150,3 +154,107 @@ def test_a_camera_without_calibration_does_not_cause_a_scan(tmp_path, monkeypatc
         for camera, placed in (("front", True), (name, False)):
             with open_log(str(path), LogOptions(camera=camera)) as log:
                 assert log.has_color is placed and (log.description.pairing is None) is placed
+
+
+def jpeg_depth(log: LogFile, name: str, depth: np.ndarray, at: int) -> None:
+    data = cv2.imencode(".jpg", np.clip(depth, 0, 255).astype("u1"))[1].tobytes()
+    message = ros_compressed(data, "16UC1; jpeg compressed ", at, name)
+    log.ros(f"/{name}/depth/image_raw/compressed", message, at)
+
+
+def disparity(log: LogFile, name: str, depth: np.ndarray, at: int) -> None:
+    image = ros_image(depth.astype("f4"), "32FC1", at, name)
+    log.ros(f"/{name}/stereo/disparity", image, at)
+
+
+def depth_of_64_bits(log: LogFile, name: str, depth: np.ndarray, at: int) -> None:
+    log.ros(f"/{name}/depth/image_raw", ros_image(depth.astype("f8"), "64FC1", at, name), at)
+
+
+def depth_of_8_bits(log: LogFile, name: str, depth: np.ndarray, at: int) -> None:
+    log.ros(
+        f"/{name}/depth_camera/depth_image", ros_image(depth.astype("u1"), "8UC1", at, name), at
+    )
+
+
+def depth_as_video(log: LogFile, name: str, depth: np.ndarray, at: int) -> None:
+    log.json(f"/{name}/depth/image_raw/foxglove", "foxglove.CompressedVideo", {"data": ""}, at)
+
+
+def without_encoding(log: LogFile, name: str, depth: np.ndarray, at: int) -> None:
+    log.raw(f"/{name}/depth/image_raw", "flat", ("sensor_msgs/msg/Image", "", b""), b"", at)
+
+
+UNREADABLE = [
+    (jpeg_depth, "recorded as JPEG"),
+    (disparity, "disparity in pixels"),
+    (depth_of_64_bits, "encoding '64FC1' is not a supported depth encoding"),
+    (depth_of_8_bits, "encoding '8UC1' is not a supported depth encoding"),
+    (depth_as_video, "video is not supported"),
+    (without_encoding, "flat"),
+]
+
+
+@pytest.mark.parametrize(
+    ("write", "reason", "form"),
+    [(*case, "mcap") for case in UNREADABLE]
+    + [(*case, form) for case in UNREADABLE[:4] for form in ("db3", "bag")],
+)
+@pytest.mark.parametrize("names", [("front", "rear"), ("robot2/front", "robot1/front")])
+def test_a_camera_whose_depth_cannot_be_read_is_reported(tmp_path, names, write, reason, form):
+    """The other camera is read as if it were alone; colour of the unreadable one is not used."""
+    good, bad = names
+    scene = make_scene(3, size=COLOR_SIZE)
+    with LogFile(tmp_path / "log.mcap") as log:
+        log.ros(f"/{good}/color/camera_info", ros_info(COLOR_SIZE, COLOR_K, START, "a"), START)
+        log.ros(f"/{bad}/color/camera_info", ros_info(COLOR_SIZE, COLOR_K, START, "b"), START)
+        for color, depth, at in zip(scene.color, scene.depth, scene.depth_ns.tolist(), strict=True):
+            image = ros_image(depth, "16UC1", at, "a")
+            log.ros(f"/{good}/aligned_depth_to_color/image_raw", image, at)
+            log.ros(f"/{bad}/color/image_raw", ros_image(color, "rgb8", at, "b"), at)
+            write(log, bad, depth, at)
+    path = tmp_path / "log.mcap"
+    if form != "mcap":
+        path = convert_log(path, tmp_path / ("log.bag" if form == "bag" else "other"))
+    with open_both_ways(str(path)) as log:
+        assert (log.camera, log.label) == (good, log.name) and not log.has_color
+        assert log.description.cameras_left_out == (bad,)
+        assert [line.split(":")[0] for line in log.description.cameras] == sorted(names)
+        [warning] = [text for text in log.description.warnings if "is left out" in text]
+        assert (
+            warning.startswith(f"camera {bad} is left out: {path}: /{bad}/") and reason in warning
+        )
+        np.testing.assert_array_equal(log.read(range(3)).frames.depth, scene.depth)
+    with pytest.raises(TopicError, match=reason):
+        open_log(str(path), LogOptions(camera=bad))
+    with open_log(str(path), LogOptions(depth=f"/{good}/aligned_depth_to_color/image_raw")) as log:
+        assert not log.description.cameras_left_out
+
+
+def test_the_error_names_all_cameras_if_none_can_be_read(tmp_path):
+    depth = make_scene(1).depth[0]
+    with LogFile(tmp_path / "log.mcap") as log:
+        for number, (write, _) in enumerate(UNREADABLE):
+            write(log, f"camera{number}", depth, START)
+    with pytest.raises(TopicError, match="no topic with depth images") as caught:
+        open_log(str(tmp_path / "log.mcap"))
+    for number, (_, reason) in enumerate(UNREADABLE):
+        assert f"/camera{number}/" in str(caught.value) and reason in str(caught.value)
+
+
+def test_other_images_of_a_camera_are_not_another_camera(tmp_path):
+    scene = make_scene(2, size=COLOR_SIZE)
+    with LogFile(tmp_path / "log.mcap") as log:
+        add_camera(log, "oak", scene)
+        for depth, at in zip(scene.depth, scene.depth_ns.tolist(), strict=True):
+            grey = ros_image(depth.astype("u1"), "mono8", at, "oak")
+            for topic in ("/oak/stereo/disp", "/oak/disparity/disparityImage"):
+                log.ros(topic, ros_image(depth.astype("f4"), "32FC1", at, "oak"), at)
+            for topic in (
+                "/depth_camera/left/image_rect",
+                "/flir/depth/mask",
+                "/x/rgb_to_depth/image",
+            ):
+                log.ros(topic, grey, at)
+    with open_both_ways(str(tmp_path / "log.mcap")) as log:
+        assert log.camera == "oak" and not log.description.cameras

@@ -20,12 +20,20 @@ class Cameras(NamedTuple):
     complete: Mapping[str, Choice]
     """Topics of the usable cameras; the calibration of a log's only camera was not checked."""
     incomplete: Mapping[str, TopicError | CalibrationError]
-    """Errors of the unusable cameras; empty if the log has only one camera."""
+    """Errors of the cameras whose calibration or choice of topics is incomplete; empty if the log
+    has only one camera."""
+    unreadable: Mapping[str, TopicError]
+    """Errors of the cameras whose depth can't be read, whatever the flags."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all cameras."""
+        """Names of all cameras whose depth can be read."""
         return tuple(sorted({**self.complete, **self.incomplete}))
+
+    @property
+    def left_out(self) -> dict[str, TopicError | CalibrationError]:
+        """Errors of all unusable cameras, by name in alphabetical order."""
+        return dict(sorted({**self.incomplete, **self.unreadable}.items()))
 
     def chosen(self, options: LogOptions, path: str) -> Choice:
         """Return the topics of the camera selected by the user, or of the only usable one.
@@ -37,8 +45,8 @@ class Cameras(NamedTuple):
             CalibrationError: The camera has no valid calibration.
         """
         wanted = options.camera or "".join(list(self.complete or self.incomplete)[:1])
-        if wanted in self.incomplete:
-            raise self.incomplete[wanted]
+        if wanted in self.left_out:
+            raise self.left_out[wanted]
         if wanted not in self.complete:
             names = ", ".join(self.names)
             remedy = f"set --camera to one of: {names}"
@@ -60,14 +68,16 @@ class Cameras(NamedTuple):
             name: ", ".join(dict.fromkeys(filter(None, (item.depth, item.color))))
             for name, item in self.complete.items()
         }
-        found |= {name: f"not used: {error.problem}" for name, error in self.incomplete.items()}
-        return tuple(printable(f"{name}: {found[name]}") for name in self.names if len(found) > 1)
+        found |= {name: f"not used: {error.problem}" for name, error in self.left_out.items()}
+        return tuple(
+            printable(f"{name}: {found[name]}") for name in sorted(found) if len(found) > 1
+        )
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the unusable cameras."""
         return tuple(
-            f"camera {printable(name)} is left out: {e}" for name, e in self.incomplete.items()
+            f"camera {printable(name)} is left out: {e}" for name, e in self.left_out.items()
         )
 
 
@@ -79,7 +89,7 @@ def find_cameras(contents: LogContents, options: LogOptions) -> Cameras:
     """
     complete: dict[str, Choice] = {}
     incomplete: dict[str, TopicError | CalibrationError] = {}
-    found = choose_topics(contents, options)
+    found, unreadable = choose_topics(contents, options)
     for name, choice in found.items():
         try:
             if isinstance(choice, TopicError):
@@ -89,4 +99,4 @@ def find_cameras(contents: LogContents, options: LogOptions) -> Cameras:
             complete[name] = choice
         except (TopicError, CalibrationError) as error:
             incomplete[name] = error
-    return Cameras(complete, incomplete)
+    return Cameras(complete, incomplete, unreadable)

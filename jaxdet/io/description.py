@@ -115,7 +115,7 @@ def describe(
         is_folder=files.paths[0].is_dir(),
         camera=found.choice.camera,
         cameras=found.cameras.lines,
-        cameras_left_out=tuple(map(printable, found.cameras.incomplete)),
+        cameras_left_out=tuple(map(printable, found.cameras.left_out)),
         num_frames=count,
         part=_part_text(numbers, found.frames, first_ns),
         duration_s=(found.frames.stamp_ns(count - 1) - first_ns) / 1e9,

@@ -8,15 +8,22 @@ new, OAK-D, ZED, Azure Kinect, Orbbec).
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
 from jaxdet.errors import TopicError, printable
 from jaxdet.io.compressed import is_color_file, is_compressed_depth, is_depth_file, is_jpeg
-from jaxdet.io.contents import LogContents
+from jaxdet.io.contents import LogContents, TopicInfo
 from jaxdet.io.images import is_color_encoding, is_depth_encoding
-from jaxdet.io.messages import CompressedImageMessage, ImageMessage, Kind, plain_schema_name
+from jaxdet.io.messages import (
+    IMAGE_KINDS,
+    CompressedImageMessage,
+    ImageMessage,
+    Kind,
+    kind_of,
+    plain_schema_name,
+)
 from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import NO_COLOR, LogOptions
 from jaxdet.io.streams import ImageStream
@@ -29,7 +36,11 @@ _INFRARED = {"ir", "infra", "infra1"}
 pair."""
 _NOT_COLOR = {"depth", "confidence", "infra2", "mask"} | _INFRARED
 _NOT_DEPTH = {"confidence", "infra2", "amplitude"} | _INFRARED
-_DISPARITY_WORDS = {"disparity", "disp", "disparities"}
+_BESIDE_DEPTH = _COLOR_WORDS | _NOT_DEPTH | {"mask"}
+"""Words for other images of a depth camera, if the topic also has the word depth."""
+_DEVICES = {"camera", "cam", "sensor"}
+"""Words next to which the word depth is part of a camera's name."""
+_DISPARITY_WORDS = {"disparity", "disp", "disparities", "disparityimage"}
 _VIDEOS = {
     "foxglove.CompressedVideo": "video",
     "ffmpeg_image_transport_msgs/FFMPEGPacket": "video of FFmpeg",
@@ -40,7 +51,8 @@ _IMAGE_WORDS = (
     | _DEPTH_WORDS
     | {"image", "raw", "rect", "rectified", "mono", "gray", "grey", "rgbd", "data", "sensor"}
     | {"compressed", "compresseddepth", "aligned", "registered", "to", "sw", "hw", "transport"}
-    | {"extrinsics", "zstd", "infra2", "disparity"}
+    | {"extrinsics", "zstd", "ffmpeg", "theora", "foxglove", "infra2"}
+    | _DISPARITY_WORDS
     | _INFRARED
 )
 """Words in topics that are not part of a camera's name."""
@@ -48,6 +60,7 @@ _CLOUDS = "sensor_msgs/PointCloud2", "foxglove.PointCloud"
 _MAX_LISTED = 12
 NO_COLOR_TOPIC = "no topic with colour images", "set one with --log.color"
 """Default reason for the missing colour topic, and the remedy."""
+_RECORD_DEPTH = "record depth in an encoding listed by jaxdet help logs"
 _MANY_MORE = 1.5
 """Ratio of the image counts of two depth topics from which on the unused topic is reported."""
 
@@ -78,21 +91,27 @@ class Choice(NamedTuple):
     """Note on a depth topic with more images than the chosen one; empty if there is none."""
 
 
-def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choice | TopicError]:
-    """Choose the depth and the colour topic of each camera; return them by camera name, in order.
+class Choices(NamedTuple):
+    """Chosen topics of all cameras of a log, by camera name in order."""
+
+    cameras: Mapping[str, Choice | TopicError]
+    """Cameras whose depth can be read, at least one; of several, one with ambiguous depth topics
+    has the error."""
+    unreadable: Mapping[str, TopicError]
+    """Cameras whose depth can't be read; empty if the user sets a topic."""
+
+
+def choose_topics(contents: LogContents, options: LogOptions) -> Choices:
+    """Choose the depth and the colour topic of each camera.
 
     The log has several cameras if the camera names of its depth topics differ (see
     :func:`camera_name`) and the user sets no topic. Depth topics are preferred in this order: those
     that are aligned to colour, according to their names; raw before compressed images; separate
     images before RGBD messages.
 
-    If there is only one camera, its colour topic may have another camera name: the topic with the
-    closest namespace is used, or no topic if several are equally close. If there is no colour
-    topic, the infrared image of the depth camera is used.
-
-    Returns:
-        At least one entry. If the log has several cameras, and the depth topic of one of them is
-        ambiguous, its entry is the error.
+    If depth of only one camera can be read, its colour topic may have a name of no camera: the
+    topic with the closest namespace is used, or no topic if several are equally close. If there is
+    no colour topic, the infrared image of the depth camera is used.
 
     Raises:
         TopicError: No topic can be depth; or the log has one camera, and its depth topic is
@@ -103,15 +122,21 @@ def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choic
     without = options.color == NO_COLOR
     given = None if without else options.color
     colors = [] if without else _candidates(contents, given, False, prefer_rect)
+    unreadable = _unreadable(contents)
     if not depths:
-        raise _missing(contents)
+        raise _missing(contents, [*unreadable.values()])
     if any(not item.rank[1] for item in depths):  # mono16 may also be a thermal image
         streams = contents.streams
         depths = [d for d in depths if not (d.rank[1] and _is_kind(streams[d.topic], False))]
-    names = {camera_name(depth.topic) for depth in depths}
-    if len(names) < 2 or given or options.depth:
+    if given or options.depth:
         choice = _choose(contents, options, colors, depths)
-        return {choice.camera: choice}
+        return Choices({choice.camera: choice}, {})
+    names = {camera_name(depth.topic) for depth in depths}
+    unreadable = {name: error for name, error in unreadable.items() if name not in names}
+    colors = [item for item in colors if camera_name(item.topic) not in unreadable]
+    if len(names) < 2:
+        choice = _choose(contents, options, colors, depths)
+        return Choices({choice.camera: choice}, unreadable)
     found: dict[str, Choice | TopicError] = {}
     for name in sorted(names):
         color, depth = (
@@ -122,7 +147,7 @@ def choose_topics(contents: LogContents, options: LogOptions) -> dict[str, Choic
             found[name] = _choose(contents, options, color, depth)
         except TopicError as error:
             found[name] = error
-    return found
+    return Choices(found, unreadable)
 
 
 def camera_name(topic: str) -> str:
@@ -146,6 +171,25 @@ def is_color_name(topic: str) -> bool:
     """Return whether a topic's name indicates colour, and not aligned depth."""
     words = _words(topic)
     return bool(words & _COLOR_WORDS) and not words & _DEPTH_WORDS
+
+
+def _unreadable(contents: LogContents) -> dict[str, TopicError]:
+    """Return the cameras with a depth topic that can't be read, each with the reason.
+
+    Such topics are recognized by name or type. A camera may have another topic that can be read.
+    """
+    found: dict[str, TopicError] = {}
+    for topic, info in sorted(contents.topics.items()):
+        stream, reason = contents.streams.get(topic), None
+        if stream and stream.probes:
+            reason = _why_not_depth(stream)
+        elif info.count and _is_depth_topic(info):
+            video = _video(info)
+            reason = f"{video} is not supported" if video else info.trouble, _RECORD_DEPTH
+        if reason:
+            error = TopicError(reason[0], path=contents.path, topic=topic, remedy=reason[1])
+            found.setdefault(camera_name(topic), error)
+    return found
 
 
 def _choose(
@@ -210,10 +254,14 @@ def _why_no_color(
 
 
 def _videos(contents: LogContents) -> list[str]:
-    """Return the topics with video, each with its type."""
-    schemas = {name: info.channel.schema_name for name, info in sorted(contents.topics.items())}
-    plain = {name: plain_schema_name(schema) for name, schema in schemas.items()}
-    return [f"{_VIDEOS[kind]} of {name}" for name, kind in plain.items() if kind in _VIDEOS]
+    """Return the topics with video of colour, each with its type."""
+    found = {name: _video(info) for name, info in sorted(contents.topics.items())}
+    return [f"{kind} of {name}" for name, kind in found.items() if kind and not _is_named(name)]
+
+
+def _video(info: TopicInfo) -> str | None:
+    """Return the type of video of a topic; None if its messages are not video."""
+    return _VIDEOS.get(plain_schema_name(info.channel.schema_name))
 
 
 def _infrared(contents: LogContents, depth_topic: str) -> list[Candidate]:
@@ -241,6 +289,14 @@ def _words(topic: str) -> set[str]:
 
 def _says_aligned(topic: str) -> bool:
     return any(name in topic.lower() for name in _ALIGNED)
+
+
+def _is_named(topic: str) -> bool:
+    """Return whether the images of a topic must be depth, according to its name."""
+    if not _says_aligned(topic) and _words(topic) & _BESIDE_DEPTH:
+        return False
+    parts = map(_words, topic.split("/"))
+    return any("depth" in words and not words & _DEVICES for words in parts)
 
 
 def _candidates(
@@ -302,18 +358,28 @@ def _why_not_depth(stream: ImageStream) -> tuple[str, str] | None:
 
     The result is None if the images may be depth.
     """
-    image, words = stream.first_image(True), _words(stream.topic)
-    named = "disparity" in stream.topic.lower() or bool(words & _DISPARITY_WORDS)
-    if named and stream.kind in (Kind.IMAGE, Kind.COMPRESSED):
+    image, is_named = stream.first_image(True), _is_named(stream.topic)
+    of_disparity = "disparity" in stream.topic.lower() or _words(stream.topic) & _DISPARITY_WORDS
+    if of_disparity and stream.kind in (Kind.IMAGE, Kind.COMPRESSED):
         remedy = "record the depth image, or stereo_msgs/DisparityImage (it has focal length and "
         return "the topic has disparity in pixels, not depth in metres", f"{remedy}baseline)"
-    if not isinstance(image, CompressedImageMessage) or not is_jpeg(image):
-        return None
-    if is_compressed_depth(image.format, stream.topic) or "depth" in words:
+    if isinstance(image, CompressedImageMessage) and is_jpeg(image):
+        if not is_named and not is_compressed_depth(image.format, stream.topic):
+            return None
         problem = "depth was recorded as JPEG (8 bits, lossy), so its distances are lost"
         remedy = "record the compressedDepth topic, or set the format of image_transport's "
         return problem, f"{remedy}compressed transport to png (now {image.format.strip()!a})"
+    if is_named and image is not None and not _is_kind(stream, True):
+        encoding = printable(stream.encoding(True))
+        return f"encoding {encoding!r} is not a supported depth encoding", _RECORD_DEPTH
     return None
+
+
+def _is_depth_topic(info: TopicInfo) -> bool:
+    """Return whether all messages of a topic must be depth, according to its type and name."""
+    kind = kind_of(info.channel.schema_name)
+    is_image = kind in IMAGE_KINDS or _video(info) is not None
+    return kind is Kind.DISPARITY or (is_image and _is_named(info.channel.topic))
 
 
 def _depth_candidate(stream: ImageStream) -> Candidate | None:
@@ -362,7 +428,7 @@ def _nearest(candidates: Sequence[Candidate], topic: str) -> list[Candidate]:
     return [item for item in candidates if affinity(item.topic, topic) == best]
 
 
-def _missing(contents: LogContents) -> TopicError:
+def _missing(contents: LogContents, unreadable: Sequence[TopicError]) -> TopicError:
     if not contents.streams and any(name.startswith("/jaxdet/") for name in contents.topics):
         problem, remedy = "an export of jaxdet, without images", "pass the original log"
         return TopicError(problem, path=contents.path, remedy=remedy)
@@ -373,14 +439,14 @@ def _missing(contents: LogContents) -> TopicError:
         encoding = contents.streams[name].encoding(False) if name in contents.streams else ""
         names.append(f"{name} ({', '.join(filter(None, (kind, encoding, info.trouble)))})")
     known = f"the log has the topics {listed(names)}" if names else "the log has no messages"
-    wrong = {name: _why_not_depth(one) for name, one in sorted(contents.streams.items())}
-    for name, reason in wrong.items():
-        if reason:
-            problem = f"no topic with depth images: {reason[0]}"
-            raise TopicError(problem, path=contents.path, topic=name, remedy=reason[1])
+    if unreadable:
+        problem, first = "no topic with depth images", unreadable[0]
+        others = [f"{error.topic}: {error.problem}" for error in unreadable[1:_MAX_LISTED]]
+        problem = "; ".join([f"{problem}: {first.problem}", *others])
+        return TopicError(problem, path=contents.path, topic=first.topic, remedy=first.remedy)
     if unread := _unread(contents):
         known = f"unsupported encodings: {listed(unread)}; {known}"
-    remedy = "record depth in an encoding listed by jaxdet help logs, or pass --log.depth TOPIC"
+    remedy = f"{_RECORD_DEPTH}, or pass --log.depth TOPIC"
     types = {name: plain_schema_name(info.channel.schema_name) for name, info in topics}
     clouds = [name for name, kind in types.items() if kind in _CLOUDS]
     if clouds:
@@ -395,7 +461,10 @@ def _unread(contents: LogContents) -> list[str]:
     return [
         f"{stream.encoding(False)!a} of {topic}"
         for topic, stream in sorted(contents.streams.items())
-        if stream.probes and not _is_kind(stream, True) and not _is_kind(stream, False)
+        if stream.probes
+        and not _is_kind(stream, True)
+        and not _is_kind(stream, False)
+        and not _is_named(topic)
     ]
 
 
