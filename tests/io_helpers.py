@@ -66,13 +66,16 @@ class LogFile:
     def raw(
         self, topic: str, encoding: str, schema: tuple[str, str, bytes], data: bytes, log_ns: int
     ) -> None:
+        self.declare(topic, encoding, schema)
+        self._writer.add_message(self._channels[topic], log_ns, data, log_ns)
+
+    def declare(self, topic: str, encoding: str, schema: tuple[str, str, bytes]) -> None:
         name, kind, text = schema
         if name not in self._schemas:
             self._schemas[name] = self._writer.register_schema(name, kind, text)
         if topic not in self._channels:
             schema_id = self._schemas[name]
             self._channels[topic] = self._writer.register_channel(topic, encoding, schema_id)
-        self._writer.add_message(self._channels[topic], log_ns, data, log_ns)
 
     def ros(self, topic: str, message: Any, log_ns: int, little_endian: bool = True) -> None:
         name = message.__msgtype__

@@ -1,5 +1,8 @@
 """Several cameras in a log: names, choice of the camera, notes on the others."""
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from tests.io_helpers import (
     COLOR_K,
     COLOR_SIZE,
     START,
+    STORE,
     LogFile,
     Scene,
     convert_log,
@@ -229,6 +233,64 @@ def test_a_camera_whose_depth_cannot_be_read_is_reported(tmp_path, names, write,
         open_log(str(path), LogOptions(camera=bad))
     with open_log(str(path), LogOptions(depth=f"/{good}/aligned_depth_to_color/image_raw")) as log:
         assert not log.description.cameras_left_out
+
+
+def write_silent(path: Path, form: str, topics: Sequence[str], *, frames: int = 2) -> Path:
+    """Write a log with colour images and topics without messages."""
+    with LogFile(path / "log.mcap") as log:
+        for number in range(frames):
+            image = ros_image(np.zeros((30, 40, 3), "u1"), "rgb8", START + number, "x")
+            log.ros("/cam/color/image_raw", image, START + number)
+        name = "sensor_msgs/msg/Image"
+        text = STORE.generate_msgdef(name, ros_version=2)[0].encode()
+        for topic in topics:
+            log.declare(topic, "cdr", (name, "ros2msg", text))
+    if form == "mcap":
+        return path / "log.mcap"
+    return convert_log(path / "log.mcap", path / ("log.bag" if form == "bag" else "other"))
+
+
+@pytest.mark.parametrize("scan", [False, True])
+@pytest.mark.parametrize("form", ["mcap", "db3", "bag"])
+def test_topics_without_messages_are_described(tmp_path, form, scan):
+    path = write_silent(tmp_path, form, ["/cam/depth/image_raw", "/other/image"])
+    with pytest.raises(
+        TopicError, match=r"no messages on /cam/depth/image_raw; .*driver"
+    ) as caught:
+        open_log(str(path), LogOptions(scan=scan))
+    topics = {topic.topic: (topic.num_messages, topic.problem) for topic in caught.value.topics}
+    assert topics == {
+        "/cam/color/image_raw": (2, ""),
+        "/cam/depth/image_raw": (0, "no messages"),
+        "/other/image": (0, "no messages"),
+    }
+    with pytest.raises(TopicError, match=r"/image_raw: no messages; set --log\.depth"):
+        open_log(str(path), LogOptions(depth="/cam/depth/image_raw", scan=scan))
+
+
+@pytest.mark.parametrize("topics", [[], ["/cam/depth/image_raw"]])
+def test_a_log_without_messages_is_an_error(tmp_path, topics):
+    path = write_silent(tmp_path, "mcap", topics, frames=0)
+    with pytest.raises(TopicError, match="the log has no messages") as caught:
+        open_log(str(path))
+    assert [topic.topic for topic in caught.value.topics] == topics
+
+
+def test_a_topic_without_messages_in_one_split_is_counted_in_the_others(tmp_path):
+    scene = make_scene(2, size=COLOR_SIZE)
+    later = scene._replace(depth_ns=scene.depth_ns + 10**8, color_ns=scene.color_ns + 10**8)
+    for number, (one, declared) in enumerate(((scene, "rear"), (later, "front"))):
+        with LogFile(tmp_path / f"log_{number}.mcap") as log:
+            add_camera(log, "front", one)
+            for kind in ("color", "depth"):
+                log.declare(f"/{declared}/{kind}/image_raw", "cdr", ("other/msg/Type", "", b""))
+    with open_both_ways(str(tmp_path)) as log:
+        topics = {
+            topic.topic: (topic.num_messages, topic.schema) for topic in log.description.topics
+        }
+        assert topics["/front/color/image_raw"] == (4, "sensor_msgs/msg/Image")
+        assert topics["/rear/color/image_raw"] == (0, "other/msg/Type")
+        assert not log.description.warnings and not log.description.cameras
 
 
 def test_the_error_names_all_cameras_if_none_can_be_read(tmp_path):

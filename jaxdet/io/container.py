@@ -409,8 +409,7 @@ class Walk:
             **more,
         )
         messages = np.array(self._messages, np.int64).reshape(4, -1)
-        used = {number: infos[number] for number in self.read}
-        return file_index(used, messages, integrity)
+        return file_index(dict(infos), messages, integrity)
 
 
 def _unreadable(error: Exception) -> DamageError:

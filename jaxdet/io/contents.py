@@ -58,6 +58,8 @@ class TopicInfo:
     @property
     def trouble(self) -> str:
         """Problem with the messages of the topic; empty if there is none."""
+        if not self.count:
+            return "no messages"
         if self.problem or not self.undecodable:
             return self.problem
         return f"{self.undecodable} of {self.count} messages can't be decoded: {self.why}"

@@ -37,7 +37,7 @@ class TopicDescription(NamedTuple):
     chosen_as: str
     """Roles of the topic, separated by spaces: color, depth; empty if it is not used."""
     problem: str
-    """Reason why the messages are unusable; empty if they are usable."""
+    """Reason why the messages are unusable, or "no messages"; empty if they are usable."""
 
 
 class PairingDescription(NamedTuple):

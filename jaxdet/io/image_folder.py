@@ -92,7 +92,8 @@ class ImageFolder(MessageFile):
         """Build the index of the messages from the names and sizes of the files."""
         rows = [(item.channel, item.log_ns, n, 0) for n, item in enumerate(self._messages)]
         messages = np.array(rows, np.int64).reshape(-1, 4).T
-        return file_index(self.infos, messages, FileIntegrity(self.path, by_index=True))
+        used = {number: self.infos[number] for number in np.unique(messages[0]).tolist()}
+        return file_index(used, messages, FileIntegrity(self.path, by_index=True))
 
     def close(self) -> None:
         """Do nothing, since image files are opened only while they are read."""

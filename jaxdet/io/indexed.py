@@ -13,9 +13,10 @@ import deflate
 import numpy as np
 
 from jaxdet.errors import InputError, RescanError, printable
-from jaxdet.io.chunks import DamageError
+from jaxdet.io.chunks import MAX_TIME_NS, DamageError
 from jaxdet.io.container import LogFile
 from jaxdet.io.contents import FIRST_MOTIONS, ContentsBuilder, LogContents
+from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.file_index import FileIndex, IndexedMessages
 from jaxdet.io.limits import check_count, check_topics
@@ -195,15 +196,20 @@ def _take(store: ChunkStore, builder: ContentsBuilder, topic: TopicMessages, num
 def _find_topics(
     files: Sequence[LogFile], indexes: Sequence[FileIndex], builder: ContentsBuilder
 ) -> list[TopicMessages]:
-    """Return the topics with useful messages; other topics are only recorded and counted."""
+    """Return the topics with useful messages; other topics are only recorded and counted.
+
+    Topics without messages are recorded last, since another file may have their messages.
+    """
     found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     path, nbytes = builder.contents.path, sum(file.size for file in files)
+    silent = list[ChannelInfo]()
     for number, (file, entries) in enumerate(zip(files, indexes, strict=True)):
         check_topics(len(entries.infos), path)
         if builder.images:
             builder.contents.integrity.append(entries.integrity._replace(path=file.named))
         for key, count in sorted(entries.counts.items(), key=lambda item: item[1].first_ns):
             builder.count(entries.infos[key], *count)
+        silent += [info for key, info in entries.infos.items() if key not in entries.counts]
         for key, info in entries.infos.items():
             if key not in entries.counts or kind_of(info.schema_name) is None:
                 continue
@@ -217,6 +223,8 @@ def _find_topics(
             zero = np.zeros_like(mine.file)
             messages.append(mine._replace(file=zero + number, decoder=zero + len(decoders)))
             decoders.append(decoder)
+    for info in silent:
+        builder.count(info, 0, MAX_TIME_NS, 0)
     topics = [
         TopicMessages(tuple(known), IndexedMessages.joined(parts).in_file_order())
         for known, parts in found.values()

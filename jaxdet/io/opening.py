@@ -203,5 +203,5 @@ def _note(contents: LogContents, log: LogFiles) -> None:
         files = f"{unchecked} of {len(contents.integrity)} files"
         contents.notes.append(f"no integrity check of {files}, which have no CRCs")
     for name, topic in sorted(contents.topics.items()):
-        if topic.trouble:
+        if topic.count and topic.trouble:
             contents.warnings.append(f"{printable(name)}: {printable(topic.trouble)}")

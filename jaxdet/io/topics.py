@@ -438,7 +438,7 @@ def _missing(contents: LogContents, unreadable: Sequence[TopicError]) -> TopicEr
         kind = "" if info.problem else info.channel.schema_name or "no schema"
         encoding = contents.streams[name].encoding(False) if name in contents.streams else ""
         names.append(f"{name} ({', '.join(filter(None, (kind, encoding, info.trouble)))})")
-    known = f"the log has the topics {listed(names)}" if names else "the log has no messages"
+    known = f"the log has the topics {listed(names)}"
     if unreadable:
         problem, first = "no topic with depth images", unreadable[0]
         others = [f"{error.topic}: {error.problem}" for error in unreadable[1:_MAX_LISTED]]
@@ -452,7 +452,13 @@ def _missing(contents: LogContents, unreadable: Sequence[TopicError]) -> TopicEr
     if clouds:
         known = f"PointCloud2 ({listed(clouds)}) is not supported; {known}"
         remedy = "record the depth images from which the clouds were computed"
-    remedy = remedy if names else "copy or record the log again"
+    silent = [name for name, info in topics if not info.count]
+    if len(silent) == len(topics):
+        known = "; ".join(["the log has no messages", *([known] if names else [])])
+        remedy = "copy or record the log again"
+    elif depths := [name for name in silent if _is_depth_topic(contents.topics[name])]:
+        known = f"no messages on {listed(depths)}; {known}"
+        remedy = "record again while the driver of the camera runs"
     return TopicError(f"no topic with depth images; {known}", path=contents.path, remedy=remedy)
 
 
