@@ -2,8 +2,8 @@
 
 A record consists of a header of named fields and of data, each preceded by its length. A chunk
 contains connections and messages, and is followed by its index; all connections and the positions
-of the chunks are at the end of the file. Source: the ROS wiki's page "Bags/Format/2.0". A bag is
-read only by its index; if the recording was not closed, ``rosbag reindex`` creates one.
+of the chunks are at the end of the file. Source: the ROS wiki's page "Bags/Format/2.0". A bag
+without this list is not read; if the recording was not closed, ``rosbag reindex`` creates it.
 
 ``rosbags`` decodes the messages, but its file reader is not used: it needs 150 bytes per message,
 parses the index entry by entry, and decompresses chunks without a size limit.
@@ -16,7 +16,7 @@ the gaps are padding.
 import bz2
 import struct
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
@@ -28,7 +28,7 @@ from mcap.opcode import Opcode
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, ChunkHead, DamageError
-from jaxdet.io.container import FileState, LogFile
+from jaxdet.io.container import FileState, LogFile, Walk
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import MAX_CHANNEL, FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, MAX_SCHEMAS_BYTES
@@ -126,15 +126,36 @@ class BagFile(LogFile):
         return file_index(dict(sorted(end.connections.items())), messages, about)
 
     def rebuild_index(self) -> FileIndex:
-        """Return the bag's own index again, as bags are not scanned; messages may be unreadable.
+        """Build an index of the messages in all intact chunks, without the indexes of the chunks.
+
+        The chunks are those listed at the end of the bag, with the numbers of their messages.
 
         Raises:
-            InputError: The bag's own index is incomplete or wrong.
+            InputError: The list is missing or damaged, or the file was changed meanwhile.
         """
         try:
-            return super().rebuild_index()
+            end = _read_end(self)
         except DamageError as error:
             raise self.without_index(str(error)) from error
+        walk, missing = Walk(self), Counter[str]()
+        for position, after in pairwise([*sorted(end.counts), self.index]):
+            try:
+                found = self._messages(position, end.connections)
+            except DamageError as error:
+                walk.lose(str(error), after - position)
+                found = []
+            for number, log_ns, offset in found:
+                walk.add(number, log_ns, position, offset)
+            lost = Counter(end.counts[position]) - Counter(number for number, *_ in found)
+            for number, count in lost.items():
+                info = end.connections.get(number)
+                missing[info.topic if info else f"connection {number}"] += count
+        return walk.index(
+            dict(sorted(end.connections.items())),
+            declared_messages=sum(sum(counts.values()) for counts in end.counts.values()),
+            chunks=len(end.counts),
+            missing=dict(missing),
+        )
 
     def record(self, position: int, end: int | None = None) -> BagRecord:
         """Return the record at a position in the file.
@@ -177,9 +198,7 @@ class BagFile(LogFile):
         Raises:
             DamageError: The chunk is unreadable, or a record exceeds it.
         """
-        head = self.chunk_head(position)
-        self.check_memory(max(head.uncompressed_size, head.data_size))
-        data = _decompress(head, self.read(position + head.data_offset, head.data_size))
+        data = self._decompressed(position)
         found = bytearray(len(data))
         view = memoryview(data)
         for record in records(data):
@@ -195,6 +214,33 @@ class BagFile(LogFile):
                 found[payload:start] = view[record.data : record.end]
             RECORD_HEAD.pack_into(found, start, _PADDING, record.end - start - RECORD_HEAD.size)
         return memoryview(found)
+
+    def _decompressed(self, position: int) -> bytes:
+        """Return the decompressed records of a chunk.
+
+        Raises:
+            DamageError: The chunk is unreadable.
+        """
+        head = self.chunk_head(position)
+        self.check_memory(max(head.uncompressed_size, head.data_size))
+        return _decompress(head, self.read(position + head.data_offset, head.data_size))
+
+    def _messages(
+        self, position: int, connections: Mapping[int, ChannelInfo]
+    ) -> list[tuple[int, int, int]]:
+        """Return connection, log time [ns] and offset of each message in a chunk.
+
+        Raises:
+            DamageError: The chunk is unreadable, or the connection of a message is not declared.
+        """
+        found = [
+            (record.number(b"conn"), nanoseconds(record), record.start)
+            for record in records(self._decompressed(position))
+            if record.op == MESSAGE
+        ]
+        if any(number not in connections for number, *_ in found):
+            raise DamageError("message of an undeclared connection")
+        return found
 
 
 def _require_rosbags(path: Path) -> None:
