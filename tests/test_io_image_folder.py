@@ -127,6 +127,16 @@ def test_open3d_folders_have_a_camera_and_frame_numbers(tmp_path, scan):
         assert NO_STAMPS.format("room") in log.description.warnings
 
 
+@pytest.mark.parametrize("given", ["room", "room/depth", "."])
+@pytest.mark.parametrize("scan", [False, True])
+def test_folders_need_no_colour(tmp_path, given, scan):
+    shutil.rmtree(write_open3d(tmp_path / "room", depth_scale=5000) / "color")
+    with open_log(str(tmp_path / given), LogOptions(scan=scan)) as log:
+        assert log.name == "room" and not log.has_color
+        assert log.calibration.depth[:6] == (*SIZE, *K) and log.calibration.depth_unit == 0.0002
+        assert np.array_equal(log.read(range(3)).frames.depth, images()[1])
+
+
 def test_missing_and_truncated_images_are_frames_with_an_error(tmp_path):
     folder = write_tum(tmp_path)
     (folder / "rgb" / f"{STAMPS[1]}.png").unlink()

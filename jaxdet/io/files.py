@@ -75,8 +75,8 @@ def find_logs(
     topics, calibrations and times are consecutive (:mod:`jaxdet.io.splits`). If the first number is
     above 1, the log has the name of its first file. All other ``.mcap`` files, and ``.db3`` and
     ``.bag`` files, are separate logs. If a folder has a recording in several of these formats, one
-    of them is used, preferably MCAP. A folder of colour and depth images
-    (:mod:`jaxdet.io.folders`) is a log, unless a recording is in it or next to it, which is
+    of them is used, preferably MCAP. A folder of depth images, with or without
+    colour (:mod:`jaxdet.io.folders`), is a log, unless a recording is in it or next to it, which is
     assumed to contain these images. A folder that can't be listed is a log, too; opening it fails.
     Exports of jaxdet are left out unless they are inputs themselves.
 

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from jaxdet.io.folders import basic, phones
 from jaxdet.io.folders.recording import (
-    COLOR,
     DEPTH,
     Cameras,
     Image,
@@ -38,10 +37,7 @@ class Layout(NamedTuple):
 
     It raises ``InputError`` if the folder has this layout, but is damaged.
     """
-    color: ImageFiles = COLOR
     depth: ImageFiles = DEPTH
-    without_color: str = ""
-    """Name of a file that identifies recordings without colour images."""
 
 
 def _read_7_scenes(folder: Path) -> Recording | None:
@@ -77,8 +73,8 @@ def _read_sun3d(folder: Path) -> Recording | None:
     return basic.read(folder, cameras=_sun3d_cameras)._replace(is_rotated=True)
 
 
-def _sun3d_cameras(folder: Path, color: Sequence[Image], _: Sequence[Image]) -> Cameras:
-    return Cameras(_camera(folder / _SUN3D_MATRIX, 3, color))
+def _sun3d_cameras(folder: Path, color: Sequence[Image], depth: Sequence[Image]) -> Cameras:
+    return Cameras(_camera(folder / _SUN3D_MATRIX, 3, color or depth))
 
 
 def _camera(path: Path, rows: int, images: Sequence[Image]) -> Intrinsics | None:
@@ -90,9 +86,9 @@ def _camera(path: Path, rows: int, images: Sequence[Image]) -> Intrinsics | None
 
 
 LAYOUTS = (
-    Layout("Stray Scanner", phones.read_stray_scanner, without_color=phones.ODOMETRY),
+    Layout("Stray Scanner", phones.read_stray_scanner),
     Layout("Record3D", phones.read_record3d),
-    Layout("7-Scenes", _read_7_scenes, _FLAT_COLOR, _FLAT_DEPTH),
+    Layout("7-Scenes", _read_7_scenes, _FLAT_DEPTH),
     Layout("SUN3D, SUN RGB-D", _read_sun3d),
     Layout("ScanNet", _read_scannet),
     Layout("TUM, Open3D, Redwood", basic.read),
@@ -101,14 +97,10 @@ LAYOUTS = (
 
 
 def image_folders(files: Sequence[Path]) -> list[Path]:
-    """Return the folders of the files that contain both colour and depth images, in order."""
-    colors = {layout.color for layout in LAYOUTS}
+    """Return the folders of recordings whose depth images are among the files, in order."""
     depths = {layout.depth for layout in LAYOUTS}
-    marks = {layout.without_color for layout in LAYOUTS}
-    with_color = {kind.folder_of(file) for kind in colors for file in files}
-    with_color |= {file.parent for file in files if file.name in marks}
-    with_depth = {kind.folder_of(file) for kind in depths for file in files}
-    return sorted(folder for folder in with_color & with_depth if folder)
+    found = {kind.folder_of(file) for kind in depths for file in files}
+    return sorted(folder for folder in found if folder)
 
 
 def read_recording(folder: Path) -> Recording:
