@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jaxdet.cli.main import main
 from jaxdet.errors import FrameStatus, InputError
 from jaxdet.io import Log, LogOptions, find_logs, open_log, sqlite
 from jaxdet.io import open_log as open_only
@@ -18,7 +19,7 @@ from jaxdet.io.chunks import DamageError
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.sqlite import SqliteFile
 from jaxdet.sim import SimConfig, write_log
-from tests.io_helpers import convert_log
+from tests.io_helpers import convert_log, make_scene
 from tests.io_helpers import write_log as write_made
 from tests.runs import only_log, run_logs
 
@@ -168,6 +169,19 @@ def test_a_damaged_chunk_of_a_bag_is_reported(mcap, tmp_path, compress, part, is
     if part != "content":
         with open_log(str(path)) as log:
             assert log.num_frames == 8 - lost
+
+
+def test_info_scans_a_bag_with_damaged_images(tmp_path, capsys):
+    """The damage is noticed when an image is read, after the bag was opened by its index."""
+    source = write_made(tmp_path / "x.mcap", make_scene(20))
+    path = convert_log(source, tmp_path / "x.bag", "bz2")
+    data = bytearray(path.read_bytes())
+    chunks = [item for item in records(bytes(data[13:])) if item.op == 5]
+    for chunk in chunks[-20:-10]:
+        data[13 + chunk.data + 100 : 13 + chunk.data + 110] = bytes(10)
+    path.write_bytes(data)
+    assert main(["info", str(path)]) == 0
+    assert "recovered: " in capsys.readouterr().out
 
 
 def test_a_chunk_of_a_bag_that_exceeds_the_memory_is_refused(mcap, tmp_path):

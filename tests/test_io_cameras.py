@@ -312,7 +312,10 @@ def test_other_images_of_a_camera_are_not_another_camera(tmp_path):
             grey = ros_image(depth.astype("u1"), "mono8", at, "oak")
             for topic in ("/oak/stereo/disp", "/oak/disparity/disparityImage"):
                 log.ros(topic, ros_image(depth.astype("f4"), "32FC1", at, "oak"), at)
+            jpeg_depth(log, "oak", depth, at)
             for topic in (
+                "/oak/depth/image_colored",
+                "/oak/stereo/disparity_viz",
                 "/depth_camera/left/image_rect",
                 "/flir/depth/mask",
                 "/x/rgb_to_depth/image",

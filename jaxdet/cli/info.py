@@ -9,7 +9,7 @@ from jaxdet.cli.flags import parse_flags, read_defaults
 from jaxdet.cli.report import aligned, ground_text, many
 from jaxdet.cli.terminal import SPINNER, tell
 from jaxdet.config import Config, GroundConfig
-from jaxdet.errors import CamerasError, ConfigError, JaxdetError, printable
+from jaxdet.errors import CamerasError, ConfigError, JaxdetError, RescanError, printable
 from jaxdet.io.options import LogOptions
 from jaxdet.presets import DEFAULT_PRESET
 
@@ -146,18 +146,23 @@ def describe(
     from jaxdet.io import open_log
     from jaxdet.results.json_files import plain
 
-    with open_log(files, options) as log:
-        planes = decide_planes(log, config, "jax")
-        about = {
-            "log": log.name,
-            "camera": log.camera,
-            "frames": log.num_frames,
-            "description": log.description,
-            "calibration": log.calibration,
-            "ground": planes.records,
-            "warnings": planes.warnings,
-        }
-        return plain(about), list(_lines(log.label, log.description, planes, _color(log)))
+    try:
+        with open_log(files, options) as log:
+            planes = decide_planes(log, config, "jax")
+            about = {
+                "log": log.name,
+                "camera": log.camera,
+                "frames": log.num_frames,
+                "description": log.description,
+                "calibration": log.calibration,
+                "ground": planes.records,
+                "warnings": planes.warnings,
+            }
+            return plain(about), list(_lines(log.label, log.description, planes, _color(log)))
+    except RescanError:  # as in a run, the index is rebuilt
+        if options.scan:
+            raise
+    return describe(files, config, replace(options, scan=True))
 
 
 def _color(log: "Log") -> str:

@@ -38,6 +38,9 @@ _NOT_COLOR = {"depth", "confidence", "infra2", "mask"} | _INFRARED
 _NOT_DEPTH = {"confidence", "infra2", "amplitude"} | _INFRARED
 _BESIDE_DEPTH = _COLOR_WORDS | _NOT_DEPTH | {"mask"}
 """Words for other images of a depth camera, if the topic also has the word depth."""
+_PICTURES = {"colored", "coloured", "colorized", "colormap", "heatmap", "overlay", "preview"}
+_PICTURES |= {"vis", "viz", "visual", "visualization", "visualisation", "display"}
+"""Words for pictures of depth for people."""
 _DEVICES = {"camera", "cam", "sensor"}
 """Words next to which the word depth is part of a camera's name."""
 _DISPARITY_WORDS = {"disparity", "disp", "disparities", "disparityimage"}
@@ -181,6 +184,8 @@ def _unreadable(contents: LogContents) -> dict[str, TopicError]:
     found: dict[str, TopicError] = {}
     for topic, info in sorted(contents.topics.items()):
         stream, reason = contents.streams.get(topic), None
+        if _words(topic) & _PICTURES:
+            continue
         if stream and stream.probes:
             reason = _why_not_depth(stream)
         elif info.count and _is_depth_topic(info):
@@ -371,7 +376,10 @@ def _why_not_depth(stream: ImageStream) -> tuple[str, str] | None:
         return problem, f"{remedy}compressed transport to png (now {image.format.strip()!a})"
     if is_named and image is not None and not _is_kind(stream, True):
         encoding = printable(stream.encoding(True))
-        return f"encoding {encoding!r} is not a supported depth encoding", _RECORD_DEPTH
+        problem = f"encoding {encoding!r} is not a supported depth encoding"
+        if stream.kind is Kind.COMPRESSED:
+            problem = f"the files (format {encoding!r}) are not in a supported depth format"
+        return problem, _RECORD_DEPTH
     return None
 
 
