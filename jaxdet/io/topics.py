@@ -252,16 +252,10 @@ def _why_no_color(
     if several:
         names = listed([item.topic for item in several])
         return f"several topics may be colour ({names})", "choose one with --log.color"
-    if unread := [*_unread(contents), *_videos(contents)]:
+    if unsupported := _unsupported(contents):
         remedy = "record colour in an encoding listed by jaxdet help logs"
-        return f"unsupported: {listed(unread)}", remedy
+        return f"unsupported: {listed(unsupported)}", remedy
     return NO_COLOR_TOPIC
-
-
-def _videos(contents: LogContents) -> list[str]:
-    """Return the topics with video of colour, each with its type."""
-    found = {name: _video(info) for name, info in sorted(contents.topics.items())}
-    return [f"{kind} of {name}" for name, kind in found.items() if kind and not _is_named(name)]
 
 
 def _video(info: TopicInfo) -> str | None:
@@ -440,6 +434,12 @@ def _missing(contents: LogContents, unreadable: Sequence[TopicError]) -> TopicEr
     if not contents.streams and any(name.startswith("/jaxdet/") for name in contents.topics):
         problem, remedy = "an export of jaxdet, without images", "pass the original log"
         return TopicError(problem, path=contents.path, remedy=remedy)
+    if unreadable:
+        first, *more = unreadable
+        problem = f"no topic with depth images: {first.problem}"
+        others = [f"{error.topic}: {error.problem}" for error in more[:_MAX_LISTED]]
+        problem = "; ".join([problem, *others])
+        return TopicError(problem, path=contents.path, topic=first.topic, remedy=first.remedy)
     names = []
     topics = sorted(contents.topics.items(), key=lambda it: (it[0] not in contents.streams, it))
     for name, info in topics:
@@ -447,17 +447,11 @@ def _missing(contents: LogContents, unreadable: Sequence[TopicError]) -> TopicEr
         encoding = contents.streams[name].encoding(False) if name in contents.streams else ""
         names.append(f"{name} ({', '.join(filter(None, (kind, encoding, info.trouble)))})")
     known = f"the log has the topics {listed(names)}"
-    if unreadable:
-        problem, first = "no topic with depth images", unreadable[0]
-        others = [f"{error.topic}: {error.problem}" for error in unreadable[1:_MAX_LISTED]]
-        problem = "; ".join([f"{problem}: {first.problem}", *others])
-        return TopicError(problem, path=contents.path, topic=first.topic, remedy=first.remedy)
-    if unread := _unread(contents):
-        known = f"unsupported encodings: {listed(unread)}; {known}"
+    if unsupported := _unsupported(contents):
+        known = f"unsupported: {listed(unsupported)}; {known}"
     remedy = f"{_RECORD_DEPTH}, or pass --log.depth TOPIC"
-    types = {name: plain_schema_name(info.channel.schema_name) for name, info in topics}
-    clouds = [name for name, kind in types.items() if kind in _CLOUDS]
-    if clouds:
+    schemas = {name: plain_schema_name(info.channel.schema_name) for name, info in topics}
+    if clouds := [name for name, schema in schemas.items() if schema in _CLOUDS]:
         known = f"PointCloud2 ({listed(clouds)}) is not supported; {known}"
         remedy = "record the depth images from which the clouds were computed"
     silent = [name for name, info in topics if not info.count]
@@ -470,16 +464,16 @@ def _missing(contents: LogContents, unreadable: Sequence[TopicError]) -> TopicEr
     return TopicError(f"no topic with depth images; {known}", path=contents.path, remedy=remedy)
 
 
-def _unread(contents: LogContents) -> list[str]:
-    """Return the image encodings that are neither colour nor depth, each with its topic."""
-    return [
-        f"{stream.encoding(False)!a} of {topic}"
-        for topic, stream in sorted(contents.streams.items())
-        if stream.probes
-        and not _is_kind(stream, True)
-        and not _is_kind(stream, False)
-        and not _is_named(topic)
-    ]
+def _unsupported(contents: LogContents) -> list[str]:
+    """Return the images that are neither colour nor depth: encoding or kind of video, and topic."""
+    found = []
+    for topic, info in sorted(contents.topics.items()):
+        stream, kind = contents.streams.get(topic), _video(info)
+        if stream and stream.probes and not (_is_kind(stream, True) or _is_kind(stream, False)):
+            kind = f"{stream.encoding(False)!a}"
+        if kind and not _is_named(topic):
+            found.append(f"{kind} of {topic}")
+    return found
 
 
 def _others(candidates: Sequence[Candidate], chosen: Candidate) -> str:
