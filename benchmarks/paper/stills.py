@@ -11,7 +11,7 @@ from jaxdet.errors import InputError
 
 LABELS = Path(__file__).with_name("labels")
 ROOMS = LABELS / "rooms.json"
-PUBLIC = tuple(LABELS / f"{name}.json" for name in ("public", "public2", "public3"))
+PUBLIC = tuple(LABELS / f"{name}.json" for name in ("public", "public2", "public3", "public4"))
 """Recipes, a dictionary per recording; the public ones have ``place`` and ``split``."""
 SUN_TURN = 3
 """Number of bits by which SUN RGB-D rotates its depths."""
@@ -54,7 +54,8 @@ def read_depth(path: Path, unit_m: float, coding: str = "") -> np.ndarray:
     """Read a depth image ``(H, W)`` uint16 [mm]; 0 means no measurement.
 
     Args:
-        path: Path of an image, of an array in a ``.npy`` or ``.mat`` file, or of a ``.raw`` file.
+        path: Path of an image, of an array ``(H, W)`` or ``(H, W, 1)`` in a ``.npy`` file, of a
+            ``.mat`` file, or of a ``.raw`` file.
         unit_m: Unit of its values [m].
         coding: ``sunrgbd`` if its bits are rotated as in SUN RGB-D.
 
@@ -69,6 +70,8 @@ def read_depth(path: Path, unit_m: float, coding: str = "") -> np.ndarray:
         image = _read_raw(path, np.uint16, 1)[..., 0]
     elif path.suffix == ".npy":
         image = np.load(path)
+        if image.shape[2:] == (1,):
+            image = image[..., 0]
     else:
         image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None or image.ndim != 2:
