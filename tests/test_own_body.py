@@ -16,7 +16,14 @@ from jaxdet.io.body_mask import MAX_PIXELS, as_text
 from jaxdet.sim import SimConfig, write_log
 from tests.camera_logs import join_cameras
 from tests.export_results import sim_log
-from tests.rewritten import Change, Message, changed, read_messages, write_messages
+from tests.rewritten import (
+    Change,
+    Message,
+    changed,
+    moved_camera,
+    read_messages,
+    write_messages,
+)
 from tests.runs import run_log
 
 ARM = np.s_[90:, 60:100]
@@ -196,10 +203,54 @@ def test_a_run_reports_that_a_mask_can_be_suggested(logs, mask, tmp_path):
         assert not found or f"robot itself: jaxdet info {arm_log} --suggest" in found[0]
 
 
-def test_no_mask_is_suggested_for_a_floor(logs, tmp_path, capsys):
+@pytest.mark.parametrize("lower_m, pitch_deg", [(0, 0), (0.1, -20), (-0.4, 0), (0, 20)])
+def test_no_mask_is_suggested_for_a_floor(logs, tmp_path, capsys, lower_m, pitch_deg):
+    """The floor is found even if TF has a wrong mount."""
+    turn = moved_camera(lower_m, np.radians(pitch_deg))
+    log = write_messages(tmp_path / "a.mcap", changed(read_messages(logs / "plain.mcap"), turn))
     path = tmp_path / "mask.png"
-    assert main(["info", str(logs / "plain.mcap"), "--suggest-mask", str(path)]) == 0
+    assert main(["info", str(log), "--suggest-mask", str(path)]) == 0
     assert "no mask is needed" in capsys.readouterr().out and not path.exists()
+
+
+def test_a_suggested_mask_is_for_one_camera_of_several(logs, tmp_path, capsys):
+    cameras = {"left": logs / "arm.mcap", "right": logs / "plain.mcap"}
+    both = join_cameras(cameras, tmp_path / "both.mcap")
+    suggest = ["info", str(both), "--suggest-mask", str(tmp_path / "mask.png")]
+    assert main([*suggest, "--camera", "left"]) == 0
+    assert f"--log.mask left={tmp_path / 'mask.png'}" in capsys.readouterr().out
+    assert main(suggest) == 1
+    assert "choose one with --camera" in capsys.readouterr().err
+
+
+def test_no_mask_is_suggested_for_parts_that_move(logs, tmp_path, capsys):
+    places = iter(range(0, 128, 8))
+
+    def moving(depth: np.ndarray) -> None:
+        left = next(places)
+        depth[90:110, left : left + 20] = 300
+
+    log = tmp_path / "moving.mcap"
+    write_messages(log, changed(read_messages(logs / "plain.mcap"), in_depth(moving)))
+    assert main(["info", str(log), "--suggest-mask", str(tmp_path / "mask.png")]) == 0
+    assert "no mask is needed" in capsys.readouterr().out
+
+
+def test_a_still_camera_before_a_near_box_gets_no_suggestion(logs, tmp_path, capsys):
+    """Nothing except for the box is above the floor, and the floor looks the same everywhere."""
+
+    def bare(depth: np.ndarray) -> None:
+        rows = np.arange(120)[:, None]
+        # The floor of a camera 0.3 m up, 30° down, with 60° of view; above it nothing is measured.
+        down = np.radians(30) + np.arctan((rows - 59.5) / 139)
+        depth[:] = np.where(down > 0.1, 300 * np.cos(down - np.radians(30)) / np.sin(down), 0)
+        depth[50:80, 60:100] = 350
+
+    log = tmp_path / "box.mcap"
+    write_messages(log, changed(read_messages(logs / "plain.mcap"), in_depth(bare)))
+    how = ["--ground.camera-height-m", "0.3", "--ground.camera-pitch", "30deg"]
+    assert main(["info", str(log), "--suggest-mask", str(tmp_path / "mask.png"), *how]) == 1
+    assert "the camera does not move" in capsys.readouterr().err
 
 
 def test_no_mask_is_suggested_if_body_and_scene_look_alike(logs, tmp_path, capsys):

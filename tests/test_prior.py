@@ -8,7 +8,6 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from jaxdet.config import Config, GroundConfig, SurfaceConfig
 from jaxdet.engine import Planes, decide_planes
@@ -17,7 +16,7 @@ from jaxdet.floor.sampled import sampled_floor
 from jaxdet.floor.units import FloorFit
 from jaxdet.io import LogOptions, open_log
 from jaxdet.sim import SimConfig, write_log
-from tests.rewritten import Change, Message, changed, read_messages, write_messages
+from tests.rewritten import Message, changed, moved_camera, read_messages, write_messages
 
 MOUNT = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.4], [0, 0, 0, 1.0]])
 
@@ -144,22 +143,6 @@ def level_log(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
     path = tmp_path_factory.mktemp("sim") / "sim.mcap"
     write_log(path, SimConfig(frames=4, width=160, height=120))
     return read_messages(path)
-
-
-def moved_camera(lower_m: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> Change:
-    """Return a change of the camera's transform: lower, and turned by angles [rad]."""
-
-    def change(message: Message) -> None:
-        if message.topic == "/tf_static":
-            for item in message.body["transforms"]:
-                if item["child_frame_id"] == "camera_link":
-                    item["transform"]["translation"]["z"] -= lower_m
-                    quaternion = item["transform"]["rotation"]
-                    turned = Rotation.from_quat([*quaternion.values()])
-                    turned *= Rotation.from_euler("YX", [pitch, roll])
-                    quaternion |= zip("xyzw", turned.as_quat().tolist(), strict=True)
-
-    return change
 
 
 def planes_of(path: Path, **options: Any) -> Planes:
