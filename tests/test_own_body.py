@@ -239,9 +239,7 @@ def test_polygons_are_masks(tmp_path, content):
 def test_json_without_polygons_is_refused(tmp_path, text):
     path = tmp_path / "mask.json"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(
-        ConfigError, match=r"mask\.json: --log\.mask: can.t be read .*JSON"
-    ):
+    with pytest.raises(ConfigError, match=r"mask\.json: --log\.mask: can.t be read .*JSON"):
         LogOptions(mask=str(path))
 
 
