@@ -25,7 +25,14 @@ from jaxdet.io.namespaces import namespaces_of_camera
 from jaxdet.sim import SimConfig, write_log
 from tests.io_both_ways import is_indexed
 from tests.io_helpers import convert_log
-from tests.rewritten import Change, Message, changed, read_messages, write_messages
+from tests.rewritten import (
+    Change,
+    Message,
+    changed,
+    moved_camera,
+    read_messages,
+    write_messages,
+)
 
 ALIGNED = "/camera/camera/aligned_depth_to_color/image_raw"
 COLOR = "/camera/camera/color/image_raw"
@@ -630,10 +637,15 @@ def without_frames(word: str) -> Change:
 
 
 @pytest.mark.parametrize("named", [False, True])
-def test_body_frames_are_converted_to_optical_frames(tmp_path, aligned, named):
-    body = in_frame("camera_color_frame", "/camera")
-    changes: list[Change] = [body] if named else [body, without_frames("optical")]
-    with opened(tmp_path, aligned) as whole, opened(tmp_path, changed(aligned, *changes)) as log:
+@pytest.mark.parametrize("lower_m", [0.0, 0.1, 0.25])
+def test_body_frames_are_converted_to_optical_frames(tmp_path, aligned, named, lower_m):
+    """The floor may be below the base frame."""
+    body, lower = in_frame("camera_color_frame", "/camera"), moved_camera(lower_m)
+    changes: list[Change] = [body, lower] if named else [body, lower, without_frames("optical")]
+    with (
+        opened(tmp_path, changed(aligned, lower)) as whole,
+        opened(tmp_path, changed(aligned, *changes)) as log,
+    ):
         same(log.T_base_camera, whole.T_base_camera)
         same(log.T_world_camera, whole.T_world_camera)
         assert (log.camera_frame == "camera_color_optical_frame") == named

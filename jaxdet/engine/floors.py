@@ -27,6 +27,7 @@ from jaxdet.floor.plane import (
 from jaxdet.floor.sampled import SampledFloor, sampled_floor
 from jaxdet.floor.turned import turned_back, turned_frames
 from jaxdet.pipeline import BackendName, find_floors
+from jaxdet.results.summary import STEEP_DEG
 from jaxdet.types import GroundPlane
 
 if TYPE_CHECKING:
@@ -305,7 +306,7 @@ def _other_prior(
         shown, sample = turned_back(found.plane, quarters), _sample_text(found)
         height, pitch, roll = (float(part[0]) for part in shown[:3])
         flags = f"--ground.camera-height-m {height:.2f} --ground.camera-pitch "
-        flags += f"{math.degrees(pitch):.0f}deg --ground.camera-roll {math.degrees(roll):.0f}deg"
+        flags += f"{math.degrees(pitch):z.0f}deg --ground.camera-roll {math.degrees(roll):z.0f}deg"
         if quarters == 0 and (fault := _tf_fault(shown, plane, flags)):
             message = f"without transforms, {sample}; with them, {record.message}"
             return _estimate(found, shown, message), shown, f"{fault} ({sample})"
@@ -335,11 +336,13 @@ def _tf_fault(shown: GroundPlane, plane: GroundPlane, flags: str) -> str:
     if parallel or abs(lower) > _SAME_HEIGHT * shown.height[0]:
         return ""
     stated, own = (
-        f"{math.degrees(one.pitch[0]):.1f}° down, rolled by {math.degrees(one.roll[0]):.1f}°"
+        f"{math.degrees(one.pitch[0]):z.1f}° down, rolled by {math.degrees(one.roll[0]):z.1f}°"
         for one in (plane, shown)
     )
+    steep = math.radians(STEEP_DEG) < max(map(abs, tilts))
+    remedy = "name the optical frame with --log.camera-frame" if steep else "correct the transforms"
     text = f"by its transforms the camera looks {stated}; its images show the floor of a camera "
-    return f"{text}{own}, which is used; correct the transforms, or give {flags}"
+    return f"{text}{own}, which is used; {remedy}, or give {flags}"
 
 
 def _estimate(found: SampledFloor, plane: GroundPlane, message: str) -> GroundRecord:
