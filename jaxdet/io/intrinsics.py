@@ -126,8 +126,8 @@ def find_intrinsics(source: CameraSource) -> Found:
         check_camera(source.name, found)
     except CalibrationError as error:
         raise source.error(error.problem, error.remedy) from error
-    part = info and _part_text(info, size)
-    if not part and not _is_central((fx, fy, cx, cy), size.width, size.height):
+    is_whole = not info or size not in info.image_sizes() or size == (info.width, info.height)
+    if is_whole and not _is_central((fx, fy, cx, cy), size.width, size.height):
         warnings.append(
             f"the optical centre ({cx:g}, {cy:g}) is far from the centre of the {source.camera} "
             f"images ({size.width}x{size.height}); it may belong to another image size"
@@ -148,22 +148,19 @@ def _declared(source: CameraSource, info: CameraInfoMessage) -> tuple[str, _Matr
         matrices["K"] = info.K[0], info.K[4], info.K[2], info.K[5]
     if len(info.P) == 12 and info.P[0] > 0:
         matrices["P"] = info.P[0], info.P[5], info.P[2], info.P[6]
+    differ = len(matrices) < 2 or not np.allclose(*matrices.values(), rtol=0, atol=_EQUAL_PX)
     central = {n for n, one in matrices.items() if _is_central(one, info.width, info.height)}
     is_plain = _means_none(_lens_name(source), info.D)
     used, other, why = "K", "P", ""
     if source.rectified and source.model is None:
-        used, other, why = "P", "K", ", P, since the images are rectified"
+        used, other, why = "P", "K", ", P, since the images are rectified" if differ else ""
     is_worse = (used in central, used in matrices) < (other in central, other in matrices)
     if is_worse and (used == "P" or is_plain):
         used, other, why = other, used, f", {other}, since {used} is not of these images"
-    elif is_plain and len(central) == 2 and not _are_equal(*matrices.values()):
-        why += f" ({other} is {' '.join(f'{value:.6g}' for value in matrices[other])}"
-        why += f"; --log.{source.name}-intrinsics overrides both)"
+    elif differ and is_plain and len(central) == 2:
+        values = " ".join(f"{value:.6g}" for value in matrices[other])
+        why += f" ({other} is {values}; --log.{source.name}-intrinsics overrides both)"
     return used, matrices.get(used), why
-
-
-def _are_equal(one: _Matrix, other: _Matrix) -> bool:
-    return np.allclose(one, other, rtol=0, atol=_EQUAL_PX)
 
 
 def _is_central(matrix: _Matrix, width: int, height: int) -> bool:
@@ -187,7 +184,8 @@ def _part_text(info: CameraInfoMessage, size: ImageSize) -> str:
     """Return a description of the applied binning and region of interest."""
     x, y, bx, by = info.image_sizes().get(size, (0, 0, 1, 1))
     binned = f", binned {bx}x{by}" if (bx, by) != (1, 1) else ""
-    cut = f", region of interest at ({x}, {y})" if (x, y) != (0, 0) else ""
+    is_cut = size != (info.width, info.height) and info.roi[2:] not in ((0, 0), info[2:4])
+    cut = f", region of interest at ({x}, {y})" if is_cut else ""
     return binned + cut
 
 
