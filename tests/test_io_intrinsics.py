@@ -124,7 +124,7 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
         *((True, INFO.D, K, other, "K, since P") for other in ((0.0,) * 12, IDENTITY, SMALLER)),
         *((False, NONE, K, other, "K") for other in ((0.0,) * 12, (), IDENTITY, SMALLER)),
         *((rectified, NONE, (0.0,) * 9, P, "P, since") for rectified in (False, True)),
-        (False, NONE, (*K[:2], 32.0, *K[3:]), P, "P, since K is not of these images$"),
+        (False, NONE, (*K[:2], 32.0, *K[3:]), P, "P, since K doesn't fit the images$"),
     ],
 )
 def test_rectified_images_use_the_projection_matrix(rectified, D, camera, projection, expected):

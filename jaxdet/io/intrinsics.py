@@ -156,7 +156,7 @@ def _declared(source: CameraSource, info: CameraInfoMessage) -> tuple[str, _Matr
         used, other, why = "P", "K", ", P, since the images are rectified" if differ else ""
     is_worse = (used in central, used in matrices) < (other in central, other in matrices)
     if is_worse and (used == "P" or is_plain):
-        used, other, why = other, used, f", {other}, since {used} is not of these images"
+        used, other, why = other, used, f", {other}, since {used} doesn't fit the images"
     elif differ and is_plain and len(central) == 2:
         values = " ".join(f"{value:.6g}" for value in matrices[other])
         why += f" ({other} is {values}; --log.{source.name}-intrinsics overrides both)"
