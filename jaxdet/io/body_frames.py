@@ -105,26 +105,21 @@ def is_body_frame(
             in the world are used instead.
         read: Function that reads the frames with the given numbers.
     """
-    if not num_frames or (T_base is not None and abs(T_base[2, 2]) < _STEEP):
+    if not num_frames:
         return False
     numbers = np.unique(np.linspace(0, num_frames - 1, _LOOKS).astype(int)).tolist()
-    if T_base is None:
-        first = read(numbers[:1]).T_world_camera
-        if first is None or abs(first[0, 2, 2]) < _STEEP:
-            return False
+    first = read(numbers[:1]).T_world_camera if T_base is None else T_base[None]
+    if first is None or abs(first[0, 2, 2]) < _STEEP:
+        return False
     frames = read(numbers)
-    shares = []
-    for row in np.flatnonzero(frames.valid).tolist():
-        T = T_base
-        if T is None:
-            poses = frames.T_world_camera
-            T = None if poses is None or np.isnan(poses[row]).any() else poses[row]
-        if T is not None:
-            depth = frames.depth[row]
-            points = _points(depth, frames.calibration.depth, frames.calibration.depth_unit)
-            turned = matmul(T, T_BODY_OPTICAL)
-            known = T_base is not None
-            shares.append([_floor_share(points, one, known) for one in (T, turned)])
+    poses = frames.T_world_camera if T_base is None else np.repeat(T_base[None], len(numbers), 0)
+    if poses is None:
+        return False
+    camera, unit, shares = frames.calibration.depth, frames.calibration.depth_unit, []
+    for row in np.flatnonzero(frames.valid & ~np.isnan(poses).any(axis=(1, 2))).tolist():
+        points = _points(frames.depth[row], camera, unit)
+        both = poses[row], matmul(poses[row], T_BODY_OPTICAL)
+        shares.append([_floor_share(points, T, T_base is not None) for T in both])
     if not shares:
         return False
     as_is, as_body = np.median(np.array(shares), axis=0)

@@ -169,6 +169,8 @@ class LogSummary(Counts):
 
     def _floor_cause(self) -> str:
         """Return a likely cause of missing floors, by the camera's mount, and its remedy."""
+        if not (self.floor_sources["tf"] or self.floor_sources["none"]):
+            return ""
         if any(ROLL_FLAG in text for text in self.warnings):
             return f"the camera looks mounted otherwise, as the warning with {ROLL_FLAG} says"
         if not self.floor_sources["tf"]:
