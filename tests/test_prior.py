@@ -145,9 +145,9 @@ def level_log(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
     return read_messages(path)
 
 
-def planes_of(path: Path, **options: Any) -> Planes:
+def planes_of(path: Path, window_s: float = 0.0, **options: Any) -> Planes:
     with open_log(str(path), LogOptions(**options)) as log:
-        return decide_planes(log, Config(), "jax")
+        return decide_planes(log, Config(ground=GroundConfig(window_s=window_s)), "jax")
 
 
 @pytest.mark.parametrize(
@@ -199,3 +199,13 @@ def test_a_mount_with_a_wrong_tilt_is_replaced_with_a_warning_that_names_both(
     assert "9.8° down, rolled by 1.2°, which is used" in text
     assert "--ground.camera-pitch 10deg --ground.camera-roll 1deg" in text
     assert "base-frame" not in text
+
+
+def test_a_wrong_mount_is_reported_once_for_all_time_windows(tmp_path: Path) -> None:
+    log = tmp_path / "sim.mcap"
+    write_log(log, SimConfig(frames=10, width=160, height=120, rate_hz=5))
+    turn = moved_camera(0.0, np.radians(15.0))
+    path = write_messages(tmp_path / "a.mcap", changed(read_messages(log), turn))
+    planes = planes_of(path, window_s=1.0)
+    (text,) = planes.warnings
+    assert "its images show the floor" in text and text.endswith("; in 2 of 2 time windows")
