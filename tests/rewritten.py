@@ -111,6 +111,22 @@ def move_world(path: Path, T: np.ndarray) -> Path:
     return write_messages(path, changed(read_messages(path), change))
 
 
+def moved_camera(lower_m: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> Change:
+    """Return a change that lowers the camera in TF [m] and turns it there by angles [rad]."""
+
+    def change(message: Message) -> None:
+        if message.topic == "/tf_static":
+            for item in message.body["transforms"]:
+                if item["child_frame_id"] == "camera_link":
+                    item["transform"]["translation"]["z"] -= lower_m
+                    quaternion = item["transform"]["rotation"]
+                    turned = Rotation.from_quat([*quaternion.values()])
+                    turned *= Rotation.from_euler("YX", [pitch, roll])
+                    quaternion |= zip("xyzw", turned.as_quat().tolist(), strict=True)
+
+    return change
+
+
 def _fields(message: Any) -> Any:
     if hasattr(message, "__slots__") and not isinstance(message, str | bytes | memoryview):
         names = [name for name in message.__slots__ if not name.startswith("_")]

@@ -136,6 +136,13 @@ def test_the_floor_warning_names_the_cause(pitch, roll, given, cause) -> None:
     assert warning and re.search(cause, warning) and "; else give the camera's true" in warning
 
 
+def test_the_floor_warning_names_no_other_mount_if_that_mount_is_used() -> None:
+    log = LogSummary("a", (), status=Counter(ok=10), floor_sources=Counter(frame=8, log=2))
+    log.floor_refused, log.warnings = Counter(far=2), ["is used; give --ground.camera-roll 180deg"]
+    warning = log.floor_warning
+    assert warning and "2 have that of log: give the camera's true" in warning
+
+
 def test_source_none_removes_no_floor(tf_log: Path, tmp_path: Path) -> None:
     config = Config()
     nothing = replace(config, ground=replace(config.ground, source="none"))

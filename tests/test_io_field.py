@@ -25,7 +25,14 @@ from jaxdet.io.namespaces import namespaces_of_camera
 from jaxdet.sim import SimConfig, write_log
 from tests.io_both_ways import is_indexed
 from tests.io_helpers import convert_log
-from tests.rewritten import Change, Message, changed, read_messages, write_messages
+from tests.rewritten import (
+    Change,
+    Message,
+    changed,
+    moved_camera,
+    read_messages,
+    write_messages,
+)
 
 ALIGNED = "/camera/camera/aligned_depth_to_color/image_raw"
 COLOR = "/camera/camera/color/image_raw"
@@ -218,12 +225,14 @@ def test_the_world_is_not_taken_from_unrelated_poses(tmp_path, aligned):
         opened(tmp_path, aligned, world_frame="base_link", odom="/odom")
 
 
-def binned(factor: int) -> Change:
+def binned(x: int, y: int = 0) -> Change:
+    """Return a change that combines ``x`` columns and ``y`` rows of pixels, equal by default."""
+
     def change(message: Message) -> None:
         if message.kind == IMAGE:
-            message.show(message.pixels[::factor, ::factor])
+            message.show(message.pixels[:: y or x, ::x])
         elif message.kind == INFO:
-            message.body |= {"binning_x": factor, "binning_y": factor}
+            message.body |= {"binning_x": x, "binning_y": y or x}
 
     return change
 
@@ -247,7 +256,11 @@ def cropped(x: int, y: int, width: int, height: int) -> Change:
         ([binned(7)], (0, 0), 7),  # the size is not a multiple of 7
         ([binned(4)], (0, 0), 4),
         ([cropped(32, 40, 100, 60)], (32, 40), 1),
+        ([cropped(0, 0, 90, 120)], (0, 0), 1),
+        ([cropped(70, 0, 90, 80)], (70, 0), 1),
         ([cropped(8, 16, 96, 64), binned(2)], (8, 16), 2),
+        ([cropped(0, 30, 100, 90), binned(2, 3)], (0, 30), (2, 3)),
+        ([binned(1, 2)], (0, 0), (1, 2)),
     ],
 )
 def test_binning_and_regions_of_interest_are_applied(
@@ -264,7 +277,7 @@ def test_binning_and_regions_of_interest_are_applied(
         for found, full in pairs:
             x, y = shift
             expected = full.fx, full.fy, full.cx - x, full.cy - y
-            np.testing.assert_allclose(found[2:6], np.array(expected) / factor)
+            np.testing.assert_allclose(found[2:6], np.array(expected) / np.resize(factor, 4))
             assert found.coefficients == full.coefficients
         assert log.has_color and not log.description.warnings
 
@@ -630,10 +643,15 @@ def without_frames(word: str) -> Change:
 
 
 @pytest.mark.parametrize("named", [False, True])
-def test_body_frames_are_converted_to_optical_frames(tmp_path, aligned, named):
-    body = in_frame("camera_color_frame", "/camera")
-    changes: list[Change] = [body] if named else [body, without_frames("optical")]
-    with opened(tmp_path, aligned) as whole, opened(tmp_path, changed(aligned, *changes)) as log:
+@pytest.mark.parametrize("lower_m", [0.0, 0.1, 0.25])
+def test_body_frames_are_converted_to_optical_frames(tmp_path, aligned, named, lower_m):
+    """The floor may be below the base frame."""
+    body, lower = in_frame("camera_color_frame", "/camera"), moved_camera(lower_m)
+    changes: list[Change] = [body, lower] if named else [body, lower, without_frames("optical")]
+    with (
+        opened(tmp_path, changed(aligned, lower)) as whole,
+        opened(tmp_path, changed(aligned, *changes)) as log,
+    ):
         same(log.T_base_camera, whole.T_base_camera)
         same(log.T_world_camera, whole.T_world_camera)
         assert (log.camera_frame == "camera_color_optical_frame") == named

@@ -1,10 +1,12 @@
 """Calibration messages: lens models, and incomplete or contradictory values."""
 
+import re
+
 import numpy as np
 import pytest
 
 from jaxdet.errors import CalibrationError, ConfigError
-from jaxdet.io.intrinsics import CameraSource, find_intrinsics
+from jaxdet.io.intrinsics import CameraSource, find_intrinsics, is_rectified
 from jaxdet.io.messages import CameraInfoMessage
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageSize
@@ -103,10 +105,56 @@ def test_flags_override_the_message():
     assert bare.intrinsics.distortion is Distortion.NONE
 
 
-def test_rectified_images_use_the_projection_matrix():
-    lens = found(rectified=True).intrinsics
-    assert lens[2:6] == (500.0, 501.0, 310.0, 230.0) and lens.distortion is Distortion.NONE
-    assert found(rectified=True, D=(0.0,) * 5).intrinsics.fx == 600.0
+NONE = (0.0,) * 5
+SMALLER = (250.0, 0.0, 155.0, 0.0, 0.0, 250.0, 115.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+"""P of images of 320x240."""
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("rectified", "D", "camera", "projection", "expected"),
+    [
+        (True, INFO.D, K, P, "P, since the images are rectified$"),
+        (False, INFO.D, K, P, "K"),
+        (True, NONE, K, P, r"P, since .* rectified \(K is 600 601 320 240; --log.color-intrinsics"),
+        (False, NONE, K, P, r"K \(P is 500 501 310 230; --log.color-intrinsics overrides both\)"),
+        (True, NONE, K, (*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0), "P$"),
+        (True, (), K, P, "P, since"),
+        *((True, NONE, K, other, "K, since P") for other in ((0.0,) * 12, (), IDENTITY, SMALLER)),
+        *((True, INFO.D, K, other, "K, since P") for other in ((0.0,) * 12, IDENTITY, SMALLER)),
+        *((False, NONE, K, other, "K") for other in ((0.0,) * 12, (), IDENTITY, SMALLER)),
+        *((rectified, NONE, (0.0,) * 9, P, "P, since") for rectified in (False, True)),
+        (False, NONE, (*K[:2], 32.0, *K[3:]), P, "P, since K doesn't fit the images$"),
+    ],
+)
+def test_rectified_images_use_the_projection_matrix(rectified, D, camera, projection, expected):
+    """The other matrix is used if it is the only one of these images."""
+    info = INFO._replace(D=D, K=camera, P=projection)
+    found = find_intrinsics(SOURCE._replace(info=info, rectified=rectified))
+    name, lens = expected[0], found.intrinsics
+    matrix = (camera[0], camera[4], camera[2], camera[5])
+    if name == "P":
+        matrix = (projection[0], projection[5], projection[2], projection[6])
+    assert lens[2:6] == matrix and not found.warnings
+    assert (lens.distortion is Distortion.NONE) == (name == "P" or not any(D))
+    origin = found.origin if ", " in found.origin else found.origin.replace("info", f"info, {name}")
+    assert re.match(f"topic /info, {expected}", origin)
+
+
+@pytest.mark.parametrize(
+    ("topic", "rectified"),
+    [
+        ("/camera/depth/image_rect_raw", True),
+        ("/stereo/left/image_rect", True),
+        ("/camera/depth/image_rectified", True),
+        ("/zed/zed_node/rgb/color/rect/image", True),
+        ("/camera/depth/image_raw", False),
+        ("/direct/depth", False),
+        ("/corrected/depth", False),
+    ],
+)
+def test_names_of_topics_tell_whether_images_are_rectified(topic, rectified):
+    assert is_rectified(topic) == rectified
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Masks of the robot's own body, and their suggestion."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +17,14 @@ from jaxdet.io.body_mask import MAX_PIXELS, as_text
 from jaxdet.sim import SimConfig, write_log
 from tests.camera_logs import join_cameras
 from tests.export_results import sim_log
-from tests.rewritten import Change, Message, changed, read_messages, write_messages
+from tests.rewritten import (
+    Change,
+    Message,
+    changed,
+    moved_camera,
+    read_messages,
+    write_messages,
+)
 from tests.runs import run_log
 
 ARM = np.s_[90:, 60:100]
@@ -167,6 +175,115 @@ def test_damaged_images_and_other_files_are_refused_as_masks(mask):
             LogOptions(mask=str(mask))
 
 
+CORNERS = [[60, 90], [99, 90], [99, 119], [60, 119]]
+"""Corners of the arm, x and y [pixel]."""
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"width": 160, "height": 120, "polygons": [CORNERS]},
+        {"width": 160, "height": 120, "polygons": [CORNERS[:3], CORNERS[2:] + CORNERS[:1]]},
+        {"width": 160, "height": 120, "polygons": [[[60, 90], [99, 90], [99, 1e300], [60, 900]]]},
+        {
+            "version": "5.5.0",
+            "shapes": [{"label": "arm", "points": CORNERS, "shape_type": "polygon", "flags": {}}],
+            "imagePath": "depth.png",
+            "imageHeight": 120,
+            "imageWidth": 160,
+        },
+        {
+            "shapes": [
+                {"label": "a", "points": [[60, 90], [80, 119]], "shape_type": "rectangle"},
+                {"label": "b", "points": [[99, 119.2], [79.6, 90]], "shape_type": "rectangle"},
+            ],
+            "imageHeight": 120,
+            "imageWidth": 160,
+        },
+        {
+            "images": [{"id": 1, "width": 160, "height": 120, "file_name": "a.png"}],
+            "annotations": [{"image_id": 1, "segmentation": [np.ravel(CORNERS).tolist()]}],
+        },
+    ],
+    ids=["polygon", "overlap", "outside", "labelme", "rectangles", "COCO"],
+)
+def test_polygons_are_masks(tmp_path, content):
+    path = tmp_path / "mask.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    hidden = np.zeros((120, 160), bool)
+    hidden[ARM] = True
+    assert LogOptions(mask=str(path)).mask == as_text(hidden)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{}",
+        "[" * 100_000,
+        '{"width": 160, "height": 120}',
+        '{"width": 160, "height": "120", "polygons": []}',
+        '{"width": 1e9, "height": 1e9, "polygons": []}',
+        '{"width": -160, "height": -120, "polygons": []}',
+        '{"width": 160, "height": 120, "polygons": 3}',
+        '{"width": 160, "height": 120, "polygons": [[[1, 2], [3, 4]]]}',
+        '{"width": 160, "height": 120, "polygons": [[1, 2, 3, 4, 5, 6]]}',
+        '{"width": 160, "height": 120, "polygons": [[[1, 2], [3, NaN], [5, 6]]]}',
+        '{"imageWidth": 9, "imageHeight": 9, "shapes": [{"points": [[1, 1]]}]}',
+        '{"imageWidth": 9, "imageHeight": 9, "shapes": [{"shape_type": "circle", "points": []}]}',
+        '{"imageWidth": 9, "imageHeight": 9, "shapes": [{}]}',
+        '{"images": [{"width": 9, "height": 9}], "annotations": [{"segmentation": {"size": []}}]}',
+        '{"images": [{"width": 9, "height": 9}], "annotations": [{}]}',
+    ],
+)
+def test_json_without_polygons_is_refused(tmp_path, text):
+    path = tmp_path / "mask.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"mask\.json: --log\.mask: can.t be read .*JSON"):
+        LogOptions(mask=str(path))
+
+
+@pytest.mark.parametrize("name", ["a,b.png", "a=b.png", "left=a,right=b.png", "=,.png", "é ü.png"])
+def test_names_of_masks_may_contain_commas_and_equals_signs(tmp_path, monkeypatch, mask, name):
+    monkeypatch.chdir(tmp_path)
+    mask.rename(tmp_path / name)
+    text = LogOptions(mask=name).mask
+    assert text and text.startswith("160x120:")
+    if name != "left=a,right=b.png":
+        assert LogOptions(mask=f"front={tmp_path / name}").mask == f"front={text}"
+
+
+def test_a_comma_before_a_camera_begins_its_mask(tmp_path, monkeypatch, mask):
+    monkeypatch.chdir(tmp_path)
+    mask.rename("a,b.png")
+    text = LogOptions(mask="a,b.png").mask
+    assert LogOptions(mask="left=a,b.png, right=a,b.png").mask == f"left={text},right={text}"
+    with pytest.raises(ConfigError, match=r"c\.png: --log.mask: no such file.*CAMERA=FILE,CAMERA="):
+        LogOptions(mask="left=a,b.png,right=c.png")
+
+
+@pytest.mark.parametrize(
+    ("shown", "expected"),
+    [(255, "covers no pixel: it has no effect; the robot must be black"), (40, "covers no pixel")],
+)
+def test_a_mask_without_black_pixels_is_reported(logs, tmp_path, shown, expected):
+    cv2.imwrite(str(path := tmp_path / "mask.png"), np.full((120, 160), shown, np.uint8))
+    with open_log(logs / "arm.mcap", LogOptions(mask=str(path))) as log:
+        assert [expected in text for text in log.description.warnings] == [True]
+
+
+def test_a_mask_of_most_or_all_pixels_is_reported(logs, tmp_path):
+    image = np.zeros((120, 160), np.uint8)
+    image[ARM] = 255
+    cv2.imwrite(str(path := tmp_path / "mask.png"), image)
+    with open_log(logs / "arm.mcap", LogOptions(mask=str(path))) as log:
+        (warning,) = log.description.warnings
+    assert "--log.mask covers 94 % of the depth image; the robot must be black" in warning
+    cv2.imwrite(str(path), 0 * image)
+    with pytest.raises(InputError, match="covers all pixels; the robot must be black"):
+        open_log(logs / "arm.mcap", LogOptions(mask=str(path)))
+
+
 def test_the_text_form_of_a_mask_matches_an_example_by_hand():
     hidden = np.array([[True, True, False], [False, False, True]])
     assert as_text(hidden) == "3x2:0 2 3 1"
@@ -196,10 +313,54 @@ def test_a_run_reports_that_a_mask_can_be_suggested(logs, mask, tmp_path):
         assert not found or f"robot itself: jaxdet info {arm_log} --suggest" in found[0]
 
 
-def test_no_mask_is_suggested_for_a_floor(logs, tmp_path, capsys):
+@pytest.mark.parametrize("lower_m, pitch_deg", [(0, 0), (0.1, -20), (-0.4, 0), (0, 20)])
+def test_no_mask_is_suggested_for_a_floor(logs, tmp_path, capsys, lower_m, pitch_deg):
+    """The floor is found even if TF has a wrong mount."""
+    turn = moved_camera(lower_m, np.radians(pitch_deg))
+    log = write_messages(tmp_path / "a.mcap", changed(read_messages(logs / "plain.mcap"), turn))
     path = tmp_path / "mask.png"
-    assert main(["info", str(logs / "plain.mcap"), "--suggest-mask", str(path)]) == 0
+    assert main(["info", str(log), "--suggest-mask", str(path)]) == 0
     assert "no mask is needed" in capsys.readouterr().out and not path.exists()
+
+
+def test_a_suggested_mask_is_for_one_camera_of_several(logs, tmp_path, capsys):
+    cameras = {"left": logs / "arm.mcap", "right": logs / "plain.mcap"}
+    both = join_cameras(cameras, tmp_path / "both.mcap")
+    suggest = ["info", str(both), "--suggest-mask", str(tmp_path / "mask.png")]
+    assert main([*suggest, "--camera", "left"]) == 0
+    assert f"--log.mask left={tmp_path / 'mask.png'}" in capsys.readouterr().out
+    assert main(suggest) == 1
+    assert "choose one with --camera" in capsys.readouterr().err
+
+
+def test_no_mask_is_suggested_for_parts_that_move(logs, tmp_path, capsys):
+    places = iter(range(0, 128, 8))
+
+    def moving(depth: np.ndarray) -> None:
+        left = next(places)
+        depth[90:110, left : left + 20] = 300
+
+    log = tmp_path / "moving.mcap"
+    write_messages(log, changed(read_messages(logs / "plain.mcap"), in_depth(moving)))
+    assert main(["info", str(log), "--suggest-mask", str(tmp_path / "mask.png")]) == 0
+    assert "no mask is needed" in capsys.readouterr().out
+
+
+def test_a_still_camera_before_a_near_box_gets_no_suggestion(logs, tmp_path, capsys):
+    """Nothing except for the box is above the floor, and the floor looks the same everywhere."""
+
+    def bare(depth: np.ndarray) -> None:
+        rows = np.arange(120)[:, None]
+        # The floor of a camera 0.3 m up, 30° down, with 60° of view; above it nothing is measured.
+        down = np.radians(30) + np.arctan((rows - 59.5) / 139)
+        depth[:] = np.where(down > 0.1, 300 * np.cos(down - np.radians(30)) / np.sin(down), 0)
+        depth[50:80, 60:100] = 350
+
+    log = tmp_path / "box.mcap"
+    write_messages(log, changed(read_messages(logs / "plain.mcap"), in_depth(bare)))
+    how = ["--ground.camera-height-m", "0.3", "--ground.camera-pitch", "30deg"]
+    assert main(["info", str(log), "--suggest-mask", str(tmp_path / "mask.png"), *how]) == 1
+    assert "the camera does not move" in capsys.readouterr().err
 
 
 def test_no_mask_is_suggested_if_body_and_scene_look_alike(logs, tmp_path, capsys):

@@ -1,5 +1,6 @@
 """Prior of each frame's floor: how sampled frames decide it, and how it is reported."""
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,7 +16,7 @@ from jaxdet.floor.sampled import sampled_floor
 from jaxdet.floor.units import FloorFit
 from jaxdet.io import LogOptions, open_log
 from jaxdet.sim import SimConfig, write_log
-from tests.rewritten import Message, changed, read_messages, write_messages
+from tests.rewritten import Message, changed, moved_camera, read_messages, write_messages
 
 MOUNT = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.4], [0, 0, 0, 1.0]])
 
@@ -144,32 +145,67 @@ def level_log(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
     return read_messages(path)
 
 
+def planes_of(path: Path, window_s: float = 0.0, **options: Any) -> Planes:
+    with open_log(str(path), LogOptions(**options)) as log:
+        return decide_planes(log, Config(ground=GroundConfig(window_s=window_s)), "jax")
+
+
 @pytest.mark.parametrize(
-    "lower_m, tilt, lower",
-    [(0.0, 0.0, "0.10 m"), (0.1, 0.0, "0.20 m"), (0.1, 0.05, ""), (-0.6, 0.0, "")],
+    "lower_m, tilt, used, warning",
+    [
+        (0.0, 0.0, True, r"is 0\.10 m lower than z = 0.*--log\.base-frame"),
+        (0.1, 0.0, True, r"is 0\.20 m lower than z = 0.*--log\.base-frame"),
+        (0.1, 0.1, False, r"if the camera is mounted so, give .*-height-m 0\.30 .*-pitch 10deg"),
+        (-0.6, 0.0, False, r"if the camera is mounted so, give .*-height-m 0\.30 .*-pitch 10deg"),
+    ],
 )
 def test_a_floor_below_the_base_frame_and_parallel_to_it_is_used(
-    tmp_path: Path, level_log: list[Message], lower_m: float, tilt: float, lower: str
+    tmp_path: Path,
+    level_log: list[Message],
+    lower_m: float,
+    tilt: float,
+    used: bool,
+    warning: str,
 ) -> None:
     """A plane above the floor of TF, or tilted, may be a table or a wall, and is not used."""
-
-    def mount(message: Message) -> None:
-        if message.topic == "/tf_static":
-            for item in message.body["transforms"]:
-                if item["child_frame_id"] == "camera_link":
-                    item["transform"]["translation"]["z"] -= lower_m
-                    quaternion = item["transform"]["rotation"]
-                    quaternion["y"] += tilt
-                    length = np.linalg.norm([*quaternion.values()])
-                    quaternion |= {axis: part / length for axis, part in quaternion.items()}
-
-    path = write_messages(tmp_path / "a.mcap", changed(level_log, mount))
-    with open_log(str(path), LogOptions(base_frame="base_link")) as log:
-        planes = decide_planes(log, Config(), "jax")
+    path = write_messages(tmp_path / "a.mcap", changed(level_log, moved_camera(lower_m, tilt)))
+    planes = planes_of(path, base_frame="base_link")
     (record,) = planes.records
-    if lower:
-        assert record.source == "estimate" and record.height_m == pytest.approx(0.3, abs=0.005)
-        assert f"is {lower} lower than z = 0" in planes.warnings[0]
-        assert "--log.base-frame" in planes.warnings[0]
-    else:
-        assert record.source == "tf" and planes.warnings == ()
+    assert record.source == ("estimate" if used else "tf")
+    assert not used or record.height_m == pytest.approx(0.3, abs=0.005)
+    (text,) = planes.warnings
+    assert re.search(warning, text)
+
+
+@pytest.mark.parametrize(
+    "pitch_deg, roll_deg, stated",
+    [
+        (15.0, 0.0, "24.8° down, rolled by 1.3°"),
+        (25.0, 0.0, "34.8° down, rolled by 1.4°"),
+        (-18.0, 0.0, "-8.2° down, rolled by 1.2°"),
+        (0.0, 20.0, "9.8° down, rolled by 21.2°"),
+        (-20.0, -30.0, "-10.2° down, rolled by -28.8°"),
+    ],
+)
+def test_a_mount_with_a_wrong_tilt_is_replaced_with_a_warning_that_names_both(
+    tmp_path: Path, level_log: list[Message], pitch_deg: float, roll_deg: float, stated: str
+) -> None:
+    turn = moved_camera(0.0, *np.radians([pitch_deg, roll_deg]).tolist())
+    path = write_messages(tmp_path / "a.mcap", changed(level_log, turn))
+    planes = planes_of(path)
+    (record,), (text,) = planes.records, planes.warnings
+    assert record.source == "estimate" and record.pitch_rad == pytest.approx(0.17, abs=0.01)
+    assert f"by its transforms the camera looks {stated}; its images show" in text
+    assert "9.8° down, rolled by 1.2°, which is used" in text
+    assert "--ground.camera-pitch 10deg --ground.camera-roll 1deg" in text
+    assert "base-frame" not in text
+
+
+def test_a_wrong_mount_is_reported_once_for_all_time_windows(tmp_path: Path) -> None:
+    log = tmp_path / "sim.mcap"
+    write_log(log, SimConfig(frames=10, width=160, height=120, rate_hz=5))
+    turn = moved_camera(0.0, np.radians(15.0))
+    path = write_messages(tmp_path / "a.mcap", changed(read_messages(log), turn))
+    planes = planes_of(path, window_s=1.0)
+    (text,) = planes.warnings
+    assert "its images show the floor" in text and text.endswith("; in 2 of 2 time windows")

@@ -129,7 +129,8 @@ def _suggest_mask(files: "LogFiles", options: LogOptions, config: Config, path: 
     write_whole(path, cv2.imencode(".png", np.where(body, 0, 255).astype(np.uint8))[1].tobytes())
     share = f"{100 * body.mean():.1f} % of the depth image"
     print(f"{log.label}: {share} may show the robot's own body; check {path}")
-    print(f"to exclude it: --log.mask {path}")
+    camera = f"{log.camera}=" if log.label != log.name else ""
+    print(f"to exclude it: --log.mask {camera}{path}")
     return 0
 
 

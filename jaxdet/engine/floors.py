@@ -27,6 +27,7 @@ from jaxdet.floor.plane import (
 from jaxdet.floor.sampled import SampledFloor, sampled_floor
 from jaxdet.floor.turned import turned_back, turned_frames
 from jaxdet.pipeline import BackendName, find_floors
+from jaxdet.results.summary import STEEP_DEG
 from jaxdet.types import GroundPlane
 
 if TYPE_CHECKING:
@@ -39,6 +40,8 @@ _TURNS = (2, 1, 3)
 """Quarter turns of the images of cameras that are mounted upside down (2) or on a side (1, 3)."""
 _PARALLEL_RAD = math.radians(3.0)
 """Maximum difference in pitch and roll between floors that count as parallel [rad]."""
+_SAME_HEIGHT = 0.1
+"""Maximum difference between equal camera heights, as a fraction of the height."""
 _LOW_M = 1.0
 """Maximum height of a camera that counts as upside down; a farther plane may be a ceiling [m]."""
 MIN_HEIGHT_M, MAX_HEIGHT_M = 0.02, 20.0
@@ -144,7 +147,7 @@ def decide_planes(
         )
     first, plane, warnings = _stated(log, config.ground)
     samples = _Samples(log, config, backend, at_once, alive)
-    records, windows = [], {}
+    records, windows, others = [], {}, []
     window_ns = round(config.ground.window_s * 1e9)
     wanted = np.array(log.frames, int) if frames is None else frames
     for number, all_frames in _windows(log, window_ns, wanted):
@@ -153,14 +156,16 @@ def decide_planes(
         record, windows[number] = _prior(found, first, plane, by_frame=not config.cluster.points)
         few = record.frames_used is not None and record.frames_used <= _FEW * len(sample)
         if few and record.source in ("none", "tf") and not config.cluster.points:
-            upright, *turned = samples.floors(sample, unknown_plane(1), (0, *_TURNS))
-            of_images = _raised_prior(upright, record, plane) or _turned_prior(
-                turned, record, plane
-            )
-            record, windows[number], text = of_images
-            warnings = (*warnings, text) if text else warnings
+            turns = (0, *_TURNS) if record.source == "tf" else _TURNS
+            floors = samples.floors(sample, unknown_plane(1), turns)
+            each = tuple(zip(turns, floors, strict=True))
+            record, windows[number], text = _other_prior(each, record, plane)
+            others += [text] if text else []
         start = number * window_ns if window_ns else None
         records.append(replace(record, window_start_ns=start))
+    if others:
+        where = f"; in {len(others)} of {len(windows)} time windows" if window_ns else ""
+        warnings = (*warnings, others[0] + where)
     unknown = sum(not one.valid[0] for one in windows.values())
     if config.cluster.points and unknown:
         where = f" in {unknown} of {len(windows)} time windows" if window_ns else ""
@@ -282,64 +287,65 @@ def _prior(
     return _estimate(found, found.plane, message), found.plane
 
 
-def _raised_prior(
-    found: SampledFloor | None, record: GroundRecord, plane: GroundPlane
-) -> tuple[GroundRecord, GroundPlane, str] | None:
-    """Return the prior of a robot whose base frame is above the floor, and a warning.
-
-    None is returned unless the images show a floor below the floor of TF and parallel to it; a
-    higher or tilted plane may be a table, a platform or a wall.
-
-    Args:
-        found: Floor of the sample, searched without a prior.
-        record: Record of the prior from TF.
-        plane: The prior from TF.
-    """
-    if found is None or record.source != "tf" or not found.shown_by(_MOST):
-        return None
-    height, pitch, roll = (
-        float(a[0] - b[0]) for a, b in zip(found.plane[:3], plane[:3], strict=True)
-    )
-    if height < 0 or max(abs(pitch), abs(roll)) > _PARALLEL_RAD:
-        return None
-    message = f"without transforms, {_sample_text(found)}; with them, {record.message}"
-    new = _estimate(found, found.plane, message)
-    text = (
-        f"the floor is {height:.2f} m lower than z = 0 of the robot's base frame "
-        f"({_sample_text(found)}), and is used; name the frame on the floor with --log.base-frame"
-    )
-    return new, found.plane, text
-
-
-def _turned_prior(
-    each: Sequence[SampledFloor | None], record: GroundRecord, plane: GroundPlane
+def _other_prior(
+    each: Sequence[tuple[int, SampledFloor | None]], record: GroundRecord, plane: GroundPlane
 ) -> tuple[GroundRecord, GroundPlane, str]:
-    """Return the prior of a camera that may be turned, and a warning or an empty text.
+    """Return the prior of a camera with another mount, and a warning or an empty text.
 
-    If images turned by 180° show a near floor, the camera is taken to be upside down; a far plane
-    may be the ceiling above an upright camera. For a camera on its side the warning only names the
-    flags, since a wall may look like a floor in turned images.
+    A mount that contradicts TF is used if :func:`_tf_fault` explains it. If images turned by 180°
+    show a near floor, the camera is taken to be upside down; a far plane may be the ceiling above
+    an upright camera. For other mounts the warning only names the flags: a higher plane may be a
+    table, and a wall may look like a floor in turned images.
 
     Args:
-        each: Floors of the sample for each of :data:`_TURNS`.
-        record: Record of the prior without turning images.
-        plane: The prior without turning images.
+        each: Quarter turns of the images, and the floor of the sample in turned images, searched
+            without a prior.
+        record: Record of the prior.
+        plane: The prior.
     """
-    for quarters, found in zip(_TURNS, each, strict=True):
+    for quarters, found in each:
         if found is None or not found.shown_by(_MOST):
             continue
-        turned = turned_back(found.plane, quarters)
-        height, pitch, roll = (float(part[0]) for part in turned[:3])
-        degrees = f"{math.degrees(pitch):.0f}deg", f"{math.degrees(roll):.0f}deg"
-        flags = f"--ground.camera-height-m {height:.2f} --ground.camera-pitch {degrees[0]} "
-        flags += f"--ground.camera-roll {degrees[1]}"
+        shown, sample = turned_back(found.plane, quarters), _sample_text(found)
+        height, pitch, roll = (float(part[0]) for part in shown[:3])
+        flags = f"--ground.camera-height-m {height:.2f} --ground.camera-pitch "
+        flags += f"{math.degrees(pitch):z.0f}deg --ground.camera-roll {math.degrees(roll):z.0f}deg"
+        if quarters == 0 and (fault := _tf_fault(shown, plane, flags)):
+            message = f"without transforms, {sample}; with them, {record.message}"
+            return _estimate(found, shown, message), shown, f"{fault} ({sample})"
         if quarters == 2 and height < _LOW_M and record.source == "none":
-            text = f"the camera is taken to be mounted upside down ({flags}): turned over, "
-            message = _sample_text(found)
-            return _estimate(found, turned, message), turned, f"{text}{message}"
-        text = f"if the camera is mounted so, give {flags}: turned, {_sample_text(found)}"
-        return record, plane, text
+            text = f"the camera is taken to be mounted upside down ({flags}): turned over, {sample}"
+            return _estimate(found, shown, sample), shown, text
+        turned = "turned, " if quarters else ""
+        return record, plane, f"if the camera is mounted so, give {flags}: {turned}{sample}"
     return record, plane, ""
+
+
+def _tf_fault(shown: GroundPlane, plane: GroundPlane, flags: str) -> str:
+    """Return what is wrong with a mount from TF; empty if a plane may be other than the floor.
+
+    The base frame may be above the floor, or the camera may be tilted in another way.
+
+    Args:
+        shown: Plane in the images, ``B = 1``.
+        plane: Floor by TF.
+        flags: Flags that set the mount according to the images.
+    """
+    lower, *tilts = (float(a[0] - b[0]) for a, b in zip(shown[:3], plane[:3], strict=True))
+    parallel = max(map(abs, tilts)) <= _PARALLEL_RAD
+    if parallel and lower >= 0:
+        text = f"the floor is {lower:.2f} m lower than z = 0 of the robot's base frame, and is used"
+        return f"{text}; name the frame on the floor with --log.base-frame"
+    if parallel or abs(lower) > _SAME_HEIGHT * shown.height[0]:
+        return ""
+    stated, own = (
+        f"{math.degrees(one.pitch[0]):z.1f}° down, rolled by {math.degrees(one.roll[0]):z.1f}°"
+        for one in (plane, shown)
+    )
+    steep = math.radians(STEEP_DEG) < max(map(abs, tilts))
+    remedy = "name the optical frame with --log.camera-frame" if steep else "correct the transforms"
+    text = f"by its transforms the camera looks {stated}; its images show the floor of a camera "
+    return f"{text}{own}, which is used; {remedy}, or give {flags}"
 
 
 def _estimate(found: SampledFloor, plane: GroundPlane, message: str) -> GroundRecord:

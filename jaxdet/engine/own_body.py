@@ -10,7 +10,7 @@ from jaxdet.camera import pixel_rays
 from jaxdet.config import Config
 from jaxdet.engine.floors import Planes, evenly
 from jaxdet.errors import InputError, JaxdetError, printable
-from jaxdet.floor.plane import down_vector
+from jaxdet.floor.plane import down_vector, unknown_plane
 from jaxdet.floor.sampled import sampled_floor
 from jaxdet.pipeline import find_floors
 from jaxdet.types import Frames, GroundPlane
@@ -68,8 +68,9 @@ def find_own_body(log: "Log", config: Config, planes: Planes) -> np.ndarray:
     above = plane.height[0] - typical * unit * (down[0] * x + down[1] * y + down[2]) > ABOVE_M
     body = same & above & (typical * unit < NEAR_M)
     others = above & (typical > 0) & ~body
-    if np.count_nonzero(others & same) > (1 - _MOVING) * np.count_nonzero(others):
-        raise _not_found(log, "the camera does not move", "use a log in which the robot turns")
+    if np.count_nonzero(others & same) >= (1 - _MOVING) * np.count_nonzero(others):
+        problem = "the camera does not move, or sees nothing else than the floor"
+        raise _not_found(log, problem, "use a log in which the robot turns")
     return _whole_parts(body)
 
 
@@ -106,11 +107,15 @@ def own_body_note(
 
 
 def _floor(frames: Frames, config: Config, planes: Planes) -> GroundPlane:
-    """Return the floor of a log, ``B = 1``: its prior, or the median of the frames' own floors."""
+    """Return the floor of a log, ``B = 1``: from flags or a sample, else from these frames.
+
+    TF alone is not trusted: if the frames don't show the floor of a mount, it may be wrong.
+    """
     priors = planes.of(frames.stamp_ns)
-    if priors.valid[0]:
-        return GroundPlane(*(part[:1] for part in priors))
-    fit = find_floors(frames._replace(plane=priors), config)
+    for row, source in enumerate(planes.sources(frames.stamp_ns)):
+        if source not in ("tf", "none"):
+            return GroundPlane(*(part[row : row + 1] for part in priors))
+    fit = find_floors(frames._replace(plane=unknown_plane(len(frames.valid))), config)
     return sampled_floor(fit.plane, fit.own & frames.valid).plane
 
 

@@ -37,6 +37,10 @@ _UNDER = 0.1
 """Maximum fraction of points below the floor, due to noise and reflections."""
 _FLOOR_M, _FLOOR_SHARE = 0.03, 0.02
 """Tolerance of the height of floor points [m], and its increase per metre of depth."""
+_LOWEST = 0.02
+"""Fraction of the points below the camera that are below a floor of unknown height."""
+_LEAST_LOWER = 0.25
+"""Minimum fraction of floor points below the base frame; of a wall, less are at one height."""
 _BELOW_M = 0.05
 """Minimum distance from the camera down to the floor, if the floor's height is unknown [m]."""
 
@@ -101,26 +105,21 @@ def is_body_frame(
             in the world are used instead.
         read: Function that reads the frames with the given numbers.
     """
-    if not num_frames or (T_base is not None and abs(T_base[2, 2]) < _STEEP):
+    if not num_frames:
         return False
     numbers = np.unique(np.linspace(0, num_frames - 1, _LOOKS).astype(int)).tolist()
-    if T_base is None:
-        first = read(numbers[:1]).T_world_camera
-        if first is None or abs(first[0, 2, 2]) < _STEEP:
-            return False
+    first = read(numbers[:1]).T_world_camera if T_base is None else T_base[None]
+    if first is None or abs(first[0, 2, 2]) < _STEEP:
+        return False
     frames = read(numbers)
-    shares = []
-    for row in np.flatnonzero(frames.valid).tolist():
-        T = T_base
-        if T is None:
-            poses = frames.T_world_camera
-            T = None if poses is None or np.isnan(poses[row]).any() else poses[row]
-        if T is not None:
-            depth = frames.depth[row]
-            points = _points(depth, frames.calibration.depth, frames.calibration.depth_unit)
-            turned = matmul(T, T_BODY_OPTICAL)
-            known = T_base is not None
-            shares.append([_floor_share(points, one, known) for one in (T, turned)])
+    poses = frames.T_world_camera if T_base is None else np.repeat(T_base[None], len(numbers), 0)
+    if poses is None:
+        return False
+    camera, unit, shares = frames.calibration.depth, frames.calibration.depth_unit, []
+    for row in np.flatnonzero(frames.valid & ~np.isnan(poses).any(axis=(1, 2))).tolist():
+        points = _points(frames.depth[row], camera, unit)
+        both = poses[row], matmul(poses[row], T_BODY_OPTICAL)
+        shares.append([_floor_share(points, T, T_base is not None) for T in both])
     if not shares:
         return False
     as_is, as_body = np.median(np.array(shares), axis=0)
@@ -144,17 +143,18 @@ def _points(depth: np.ndarray, camera: Intrinsics, unit_m: float) -> np.ndarray:
 def _floor_share(points: np.ndarray, T: np.ndarray, height_is_known: bool) -> float:
     """Return the fraction of floor points for a camera with the pose ``T``.
 
-    If the camera height is unknown, the floor is at the lowest points. The fraction is 0 if too
-    many points are below the floor.
+    If the camera height is unknown, or too many points are below the floor, since the base frame is
+    above it, the floor is at the lowest points. In the second case it must be a large part.
     """
     if not len(points):
         return 0.0
     height = (points * T[2, :3]).sum(axis=1)
     slack = _FLOOR_M + _FLOOR_SHARE * points[:, 2]
+    if height_is_known and (height < -T[2, 3] - slack).mean() <= _UNDER:
+        return float((np.abs(height + T[2, 3]) <= slack).mean())
     below = height[height < -_BELOW_M]
-    if not height_is_known and not len(below):
+    if not len(below):
         return 0.0
-    floor = -T[2, 3] if height_is_known else np.quantile(below, 0.02)
-    if (height < floor - slack).mean() > _UNDER:
-        return 0.0
-    return float((np.abs(height - floor) <= slack).mean())
+    floor = np.quantile(below, _LOWEST)
+    share = float((np.abs(height - floor) <= slack).mean())
+    return share if share >= _LEAST_LOWER or not height_is_known else 0.0

@@ -1,14 +1,18 @@
 """Masks of the robot's own body in the depth image.
 
-A mask is an image of the size of the depth images; depth under black pixels counts as unmeasured.
+A mask is an image of the size of the depth images, whose black pixels show the robot, or polygons
+around the robot; depth there counts as unmeasured.
 :class:`jaxdet.io.options.LogOptions` stores the mask as text, so that results contain all of their
 inputs: ``WIDTHxHEIGHT:``, then the lengths of alternating runs of white and black pixels in
 row order, starting with white.
 """
 
+import json
+import os
 import re
 from itertools import accumulate
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +21,13 @@ from jaxdet.errors import ConfigError, InputError
 FLAG = "--log.mask"
 MAX_PIXELS = 1 << 25
 _MAX_BYTES = 64 << 20
+_FARTHEST = 1e6
+"""Maximum coordinate of a point of a polygon [pixel]; others are moved there."""
+_MUCH = 0.5
+"""Fraction of masked pixels above which black and white may be confused."""
+_FORMS = "pass a PNG, or JSON with polygons as in jaxdet help calibration"
+_RULE = "the robot must be black and all else white, or the robot inside of polygons"
+_NEXT_CAMERA = re.compile(",(?=[^,=]*=)")
 _AS_TEXT = re.compile(r"(\d{1,5})x(\d{1,5}):(\d{1,8}(?: \d{1,8})*)")
 
 
@@ -24,15 +35,16 @@ def masks_text(given: str) -> str:
     """Read the files of masks; return the masks as text.
 
     Args:
-        given: ``FILE``, or ``CAMERA=FILE`` per camera, separated by commas. A mask that is text
-            instead of a file is returned unchanged.
+        given: ``FILE``, or ``CAMERA=FILE`` per camera, separated by commas. The names of files may
+            contain both characters. A mask that is text instead of a file is returned unchanged.
 
     Raises:
-        ConfigError: A file is missing or not a PNG, a camera occurs twice, or a text is invalid.
+        ConfigError: A file is missing or has no mask, a camera occurs twice, or a text is invalid.
     """
     masks: dict[str, str] = {}
-    for item in given.split(","):
-        camera, equals, source = (part.strip() for part in item.rpartition("="))
+    for item in [f"={given}"] if os.path.isfile(given) else _NEXT_CAMERA.split(given):
+        camera, source = item.split("=", 1) if "=" in item else ("", item)
+        camera, source = camera.strip(), source.strip()
         if camera in masks:
             problem = f"{FLAG}: two masks for {camera or 'every camera'}"
             raise ConfigError(problem, remedy="pass CAMERA=FILE once per camera")
@@ -40,7 +52,7 @@ def masks_text(given: str) -> str:
             _hidden(source)
         else:
             source = as_text(_read(Path(source)))
-        masks[camera] = f"{camera}{equals}{source}"
+        masks[camera] = f"{camera}={source}" if camera else source
     return ",".join(masks.values())
 
 
@@ -60,7 +72,8 @@ def hidden_pixels(
         Mask ``(H, W)`` bool, True on the robot's body; None if this camera has no mask.
 
     Raises:
-        InputError: A mask is for a camera that is not in the log, or has another size.
+        InputError: A mask is for a camera that is not in the log, has another size, or covers
+            everything.
     """
     if masks is None:
         return None
@@ -79,7 +92,18 @@ def hidden_pixels(
         sizes = f"{hidden.shape[1]}x{hidden.shape[0]}, but its depth images are {size[0]}x{size[1]}"
         remedy = "draw it on a depth image, or pass CAMERA=FILE per camera"
         raise InputError(f"{FLAG}: the mask of {camera} is {sizes}", path=path, remedy=remedy)
+    if hidden.all():
+        raise InputError(f"{FLAG}: the mask of {camera} covers all pixels", path=path, remedy=_RULE)
     return hidden
+
+
+def mask_doubts(hidden: np.ndarray | None) -> list[str]:
+    """Return a warning if a mask covers nothing or most of the images, else no warning."""
+    share = _MUCH if hidden is None else hidden.mean()
+    if 0 < share <= _MUCH:
+        return []
+    covered = f"{100 * share:.0f} % of the depth image" if share else "no pixel: it has no effect"
+    return [f"{FLAG} covers {covered}; {_RULE}"]
 
 
 def as_text(hidden: np.ndarray) -> str:
@@ -107,24 +131,66 @@ def _hidden(text: str) -> np.ndarray:
 
 
 def _read(path: Path) -> np.ndarray:
-    """Read a mask ``(H, W)`` bool, True for black pixels, from a PNG file."""
+    """Read a mask ``(H, W)`` bool, True on the robot, from a PNG file or polygons in JSON."""
+    try:
+        if not os.path.isfile(path):
+            problem = "is not a file" if os.path.exists(path) else "no such file"
+            remedy = "check the path; several masks are CAMERA=FILE,CAMERA=FILE"
+            raise ConfigError(problem, path=str(path), topic=FLAG, remedy=remedy)
+        if path.stat().st_size > _MAX_BYTES:
+            raise ValueError(f"it has more than {_MAX_BYTES >> 20} MiB")
+        data = path.read_bytes()
+        return _inside(json.loads(data)) if path.suffix.lower() == ".json" else _black(data)
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        problem = f"can't be read as a mask ({getattr(error, 'strerror', None) or error})"
+        raise ConfigError(problem, path=str(path), topic=FLAG, remedy=_FORMS) from error
+
+
+def _black(data: bytes) -> np.ndarray:
+    """Return the black pixels ``(H, W)`` bool of a PNG file."""
     import cv2
 
     from jaxdet.io.png import read_png_head
 
-    try:
-        if not path.is_file():
-            problem = "no such file" if not path.exists() else "is not a file"
-            raise ConfigError(problem, path=str(path), topic=FLAG)
-        data = path.read_bytes() if path.stat().st_size <= _MAX_BYTES else b""
-        head = read_png_head(data)
-    except (OSError, ValueError) as error:
-        problem = f"can't be read ({getattr(error, 'strerror', None) or error})"
-        raise ConfigError(problem, path=str(path), topic=FLAG, remedy="pass a PNG file") from error
-    image = None
+    head, image = read_png_head(data), None
     if 0 < head.width * head.height <= MAX_PIXELS:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
-        problem = f"the PNG of {head.width}x{head.height} pixels can't be decoded"
-        raise ConfigError(problem, path=str(path), topic=FLAG, remedy="save it again")
+        raise ValueError(f"the PNG of {head.width}x{head.height} pixels can't be decoded")
     return image.reshape(*image.shape[:2], -1)[..., :3].max(axis=-1) == 0
+
+
+def _inside(content: Any) -> np.ndarray:
+    """Return the pixels ``(H, W)`` bool inside of polygons: own format, labelme's or COCO's."""
+    import cv2
+
+    match content:
+        case {"width": width, "height": height, "polygons": polygons}:
+            pass
+        case {"imageWidth": width, "imageHeight": height, "shapes": shapes}:
+            polygons = [_outline(**shape) for shape in shapes]
+        case {"images": [{"width": width, "height": height}], "annotations": parts}:
+            rings = [ring for part in parts for ring in part["segmentation"]]
+            polygons = [list(zip(ring[::2], ring[1::2], strict=True)) for ring in rings]
+        case _:
+            raise ValueError("it has no polygons of one image with width and height")
+    if not 0 < width * height <= MAX_PIXELS or not isinstance(width * height, int):
+        raise ValueError(f"the image has {width}x{height} pixels")
+    image = np.zeros((height, width), np.uint8)
+    for polygon in polygons:
+        points = np.asarray(polygon, np.float64)
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3 or np.isnan(points).any():
+            raise ValueError("a polygon is not a list of three or more points [x, y]")
+        nearest = np.rint(points.clip(-_FARTHEST, _FARTHEST)).astype(np.int32)
+        cv2.fillPoly(image, [nearest], 1)
+    return image > 0
+
+
+def _outline(points: Any, shape_type: str = "polygon", **_: Any) -> Any:
+    """Return the polygon of a shape of labelme."""
+    if shape_type == "rectangle":
+        (left, top), (right, bottom) = points
+        return [(left, top), (right, top), (right, bottom), (left, bottom)]
+    if shape_type != "polygon":
+        raise ValueError(f"the shape {shape_type} is neither a polygon nor a rectangle")
+    return points

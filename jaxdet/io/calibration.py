@@ -13,7 +13,7 @@ from jaxdet.io.body_frames import T_BODY_OPTICAL, body_frame_text, optical_frame
 from jaxdet.io.contents import LogContents
 from jaxdet.io.extrinsics import find_extrinsics
 from jaxdet.io.folders.basic import LISTED_DEPTH
-from jaxdet.io.intrinsics import CameraSource, Found, find_intrinsics
+from jaxdet.io.intrinsics import CameraSource, Found, find_intrinsics, is_rectified
 from jaxdet.io.messages import CameraInfoMessage, Kind
 from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import LogOptions
@@ -423,8 +423,7 @@ def _source(
         topic=topic,
         info=info,
         size=size,
-        rectified=stream.kind is Kind.DISPARITY
-        or "rect" in stream.topic.lower().replace("/", "_").split("_"),
+        rectified=stream.kind is Kind.DISPARITY or is_rectified(stream.topic),
         matrix=options.depth_intrinsics if depth else options.color_intrinsics,
         model=options.depth_distortion if depth else options.color_distortion,
         path=contents.path,

@@ -70,7 +70,7 @@ class CalibrationTopic:
 
     def __init__(self) -> None:
         self.first: CameraInfoMessage | None = None
-        """First calibration whose focal length K[0] is not 0, or else the first calibration."""
+        """First calibration with a focal length, or else the first calibration."""
         self._of_size: dict[ImageSize, CameraInfoMessage] = {}
         self.changes: list[CalibrationChange] = []
         """Changes of the calibration, in file order."""
@@ -81,7 +81,7 @@ class CalibrationTopic:
         values = values_of(info)
         if values is not None and (not self.changes or self.changes[-1].values != values):
             self.changes.append(CalibrationChange(info.stamp_ns, log_ns, values))
-        if self.first is None or (self.first.K[:1] == (0.0,) and info.K[:1] != (0.0,)):
+        if self.first is None or (values is not None and values_of(self.first) is None):
             self.first = info
         for size in info.image_sizes() if values is not None else ():
             self._of_size.setdefault(ImageSize(*size), info)

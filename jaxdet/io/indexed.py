@@ -25,6 +25,7 @@ from jaxdet.io.motion_windows import MotionWindows
 from jaxdet.io.records import TopicMessages, read_message, rows_in_file_order
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.streams import NUM_PROBES, ImageStream
+from jaxdet.io.validity import values_of
 from jaxdet.io.windows import StreamWindows
 
 _MOTIONS = (Kind.TRANSFORM, Kind.ODOMETRY, Kind.POSE)
@@ -130,7 +131,7 @@ def _read_first(
             raise RescanError(problem, path=contents.path, topic=topic.topic)
         known = contents.calibrations.get(topic.topic)
         more = topic.num_messages > NUM_PROBES
-        if known and more and (known.first is None or known.first.K[:1] == (0.0,)):
+        if known and more and (known.first is None or values_of(known.first) is None):
             problem = "the first calibrations are empty"
             raise RescanError(problem, path=contents.path, topic=topic.topic)
 

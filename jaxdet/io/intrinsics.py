@@ -1,5 +1,6 @@
 """Intrinsics from CameraInfo and CameraCalibration messages."""
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,15 @@ _COUNTS = {
 OFF_MIDDLE = 0.2
 """Distance of the optical centre from the image centre, as a fraction of the image size, above
 which a warning is given."""
+_EQUAL_PX = 0.5
+"""Maximum difference between equal camera matrices [pixel]."""
+_Matrix = tuple[float, float, float, float]
+"""fx fy cx cy of a camera matrix [pixel]."""
+
+
+def is_rectified(topic: str) -> bool:
+    """Return whether images are rectified, according to the name of their topic."""
+    return any(word.startswith("rect") for word in re.split("[/_]", topic.lower()))
 
 
 class CameraSource(NamedTuple):
@@ -43,7 +53,7 @@ class CameraSource(NamedTuple):
     """Size of the images; None if no image could be decoded."""
     rectified: bool
     """Whether the images are rectified, according to the name or the type of their topic."""
-    matrix: tuple[float, float, float, float] | None
+    matrix: _Matrix | None
     """fx fy cx cy from a flag."""
     model: str | None
     """Distortion model from a flag."""
@@ -98,28 +108,26 @@ def find_intrinsics(source: CameraSource) -> Found:
         raise source.error(problem, remedy)
     warnings: list[str] = []
     size = _size(source, flag, warnings)
-    use_p = info is not None and source.rectified and source.model is None and any(info.D)
-    use_p = use_p and info is not None and len(info.P) == 12 and info.P[0] > 0
-    origin = f"topic {printable(source.topic)}"
+    name, origin = "K", f"topic {printable(source.topic)}"
     if source.matrix is not None:
         fx, fy, cx, cy = source.matrix
         origin = flag + (f", distortion of topic {printable(source.topic)}" if info else "")
-    elif info is not None and use_p:
-        fx, fy, cx, cy = _of_images(info, size, (info.P[0], info.P[5], info.P[2], info.P[6]))
-        origin += ", P, since the images are rectified" + _part_text(info, size)
-    elif info is not None and len(info.K) == 9:
-        fx, fy, cx, cy = _of_images(info, size, (info.K[0], info.K[4], info.K[2], info.K[5]))
-        origin += _part_text(info, size)
     else:
-        raise source.error("K does not have nine numbers", f"pass {flag}")
-    model, coefficients = (Distortion.NONE, ()) if use_p else _distortion(source, warnings)
+        assert info is not None
+        name, matrix, why = _declared(source, info)
+        if matrix is None:
+            problem = f"the {source.camera} camera is not calibrated: {name} has no focal length"
+            raise source.error(problem, f"pass {flag}")
+        fx, fy, cx, cy = _of_images(info, size, matrix)
+        origin += why + _part_text(info, size)
+    model, coefficients = _distortion(source, warnings) if name == "K" else (Distortion.NONE, ())
     found = Intrinsics(size.width, size.height, fx, fy, cx, cy, model, coefficients)
     try:
         check_camera(source.name, found)
     except CalibrationError as error:
         raise source.error(error.problem, error.remedy) from error
-    off = max(abs((cx + 0.5) / size.width - 0.5), abs((cy + 0.5) / size.height - 0.5))
-    if off > OFF_MIDDLE and not (info and _part_text(info, size)):
+    is_whole = not info or size not in info.image_sizes() or size == (info.width, info.height)
+    if is_whole and not _is_central((fx, fy, cx, cy), size.width, size.height):
         warnings.append(
             f"the optical centre ({cx:g}, {cy:g}) is far from the centre of the {source.camera} "
             f"images ({size.width}x{size.height}); it may belong to another image size"
@@ -127,9 +135,42 @@ def find_intrinsics(source: CameraSource) -> Found:
     return Found(found, origin, tuple(warnings))
 
 
-def _of_images(
-    info: CameraInfoMessage, size: ImageSize, matrix: tuple[float, float, float, float]
-) -> tuple[float, float, float, float]:
+def _declared(source: CameraSource, info: CameraInfoMessage) -> tuple[str, _Matrix | None, str]:
+    """Return the name of the matrix to use, its fx fy cx cy for the full sensor, and the reason.
+
+    By definition (sensor_msgs/CameraInfo) K and D describe raw images, and P rectified ones without
+    distortion. But drivers leave P at zero, at the identity or at another image size, or set K to
+    zero. So the other matrix is used if only that one suits the size; P for raw images only if D is
+    all zero, as both matrices then describe the same kind of camera.
+    """
+    matrices: dict[str, _Matrix] = {}
+    if len(info.K) == 9 and info.K[0] > 0:
+        matrices["K"] = info.K[0], info.K[4], info.K[2], info.K[5]
+    if len(info.P) == 12 and info.P[0] > 0:
+        matrices["P"] = info.P[0], info.P[5], info.P[2], info.P[6]
+    differ = len(matrices) < 2 or not np.allclose(*matrices.values(), rtol=0, atol=_EQUAL_PX)
+    central = {n for n, one in matrices.items() if _is_central(one, info.width, info.height)}
+    is_plain = _means_none(_lens_name(source), info.D)
+    used, other, why = "K", "P", ""
+    if source.rectified and source.model is None:
+        used, other, why = "P", "K", ", P, since the images are rectified" if differ else ""
+    is_worse = (used in central, used in matrices) < (other in central, other in matrices)
+    if is_worse and (used == "P" or is_plain):
+        used, other, why = other, used, f", {other}, since {used} doesn't fit the images"
+    elif differ and is_plain and len(central) == 2:
+        values = " ".join(f"{value:.6g}" for value in matrices[other])
+        why += f" ({other} is {values}; --log.{source.name}-intrinsics overrides both)"
+    return used, matrices.get(used), why
+
+
+def _is_central(matrix: _Matrix, width: int, height: int) -> bool:
+    """Return whether the optical centre is near the middle of the images."""
+    _, _, cx, cy = matrix
+    off = abs((cx + 0.5) / max(width, 1) - 0.5), abs((cy + 0.5) / max(height, 1) - 0.5)
+    return max(off) <= OFF_MIDDLE
+
+
+def _of_images(info: CameraInfoMessage, size: ImageSize, matrix: _Matrix) -> _Matrix:
     """Return fx fy cx cy of binned or cropped images, by the conventions of ROS.
 
     The centre of the first pixel stays at 0, as in ``image_geometry::PinholeCameraModel``.
@@ -143,7 +184,8 @@ def _part_text(info: CameraInfoMessage, size: ImageSize) -> str:
     """Return a description of the applied binning and region of interest."""
     x, y, bx, by = info.image_sizes().get(size, (0, 0, 1, 1))
     binned = f", binned {bx}x{by}" if (bx, by) != (1, 1) else ""
-    cut = f", region of interest at ({x}, {y})" if (x, y) != (0, 0) else ""
+    is_cut = size != (info.width, info.height) and info.roi[2:] not in ((0, 0), info[2:4])
+    cut = f", region of interest at ({x}, {y})" if is_cut else ""
     return binned + cut
 
 
@@ -175,8 +217,7 @@ def _size(source: CameraSource, flag: str, warnings: list[str]) -> ImageSize:
 def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, tuple[float, ...]]:
     flag = f"--log.{source.name}-distortion"
     D = source.info.D if source.info else ()
-    named = source.model if source.model is not None else source.info.model if source.info else ""
-    named = named.strip().lower().replace(" ", "_")
+    named = _lens_name(source)
     if named == Distortion.NONE or (source.model is None and _means_none(named, D)):
         if not D and source.info and source.info.model:
             warnings.append(
@@ -197,6 +238,12 @@ def _distortion(source: CameraSource, warnings: list[str]) -> tuple[Distortion, 
         problem = f"{len(D)} distortion coefficients don't fit {model.value} ({count})"
         raise source.error(problem, f"set the model with {flag}")
     return model, tuple(D[:count])
+
+
+def _lens_name(source: CameraSource) -> str:
+    """Return the name of the distortion model, from a flag or the message."""
+    named = source.model if source.model is not None else source.info.model if source.info else ""
+    return named.strip().lower().replace(" ", "_")
 
 
 def _means_none(model: str, D: tuple[float, ...]) -> bool:

@@ -14,7 +14,7 @@ from jaxdet.arguments import whole_number
 from jaxdet.checks import MAX_FRAMES
 from jaxdet.errors import FrameError, FrameStatus, InputError, RescanError
 from jaxdet.io.batch import Batch, LogFrame
-from jaxdet.io.body_mask import hidden_pixels
+from jaxdet.io.body_mask import hidden_pixels, mask_doubts
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.clocks import first_stamp, unset_clock_text
 from jaxdet.io.contents import LogContents
@@ -123,14 +123,15 @@ class Log:
         if before and frames.stamp_ns(0):
             text = unset_clock_text(found.choice.depth, before, frames.stamp_ns(0))
             found = found._replace(warnings=(*found.warnings, text))
+        depth, image = self.calibration.depth, self.calibration.image
+        about_mask = self.camera, found.cameras.names, (depth.width, depth.height), self._path
+        hidden = hidden_pixels(options.mask, *about_mask)
+        found = found._replace(warnings=(*found.warnings, *mask_doubts(hidden)))
         self.description = describe(files, contents, found, self.frames, begin_ns)
         if frames.depth.is_complete:
             self.description = self.described(self._window(0, self.num_frames).notes)
         unit, limit = about.unit_in_floats, options.max_pixels
         trusted = any(file.by_index for file in contents.integrity)
-        depth, image = self.calibration.depth, self.calibration.image
-        about_mask = self.camera, found.cameras.names, (depth.width, depth.height), self._path
-        hidden = hidden_pixels(options.mask, *about_mask)
         self._reader = ImageReader(
             frames, store, unit, limit, trusted, about.used_for_depth, hidden
         )

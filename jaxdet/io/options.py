@@ -83,9 +83,10 @@ class LogOptions:
     world_frame: str | None = None
     """TF frame of the world; unset: map, else odom."""
     mask: str | None = field(default=None, metadata={"takes": "FILE"})
-    """PNG of the size of the depth images, black where the camera sees the robot's own body; depth
-    there is ignored. For several cameras: CAMERA=FILE,CAMERA=FILE. jaxdet info --suggest-mask FILE
-    makes one. Results contain the pixels, not the file name."""
+    """PNG of the size of the depth images, black where the camera sees the robot's own body, or
+    JSON with polygons around it; depth there is ignored. For several cameras:
+    CAMERA=FILE,CAMERA=FILE. jaxdet info --suggest-mask FILE makes a PNG. Results contain the
+    pixels, not the file name."""
     max_chunk_mib: int = 256
     """Maximum size of a chunk or message [MiB], before and after decompression. Larger ones are
     rejected, which limits memory and stops decompression bombs."""

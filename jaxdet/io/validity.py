@@ -2,7 +2,7 @@
 
 All frames of a camera are processed with the same calibration, the first valid one. Frames with
 another calibration, according to their timestamp, get the status ``bad_calibration``. Messages of
-an uncalibrated camera (K[0] = 0) are ignored.
+an uncalibrated camera (K[0] = P[0] = 0) are ignored.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ class CalibrationChange(NamedTuple):
 
 def values_of(info: CameraInfoMessage) -> tuple[object, ...] | None:
     """Return the values that must not change: size, lens model, D, K, P; None if not calibrated."""
-    return None if info.K[:1] == (0.0,) else info[2:]
+    return None if info.K[:1] == (0.0,) and not any(info.P[:1]) else info[2:]
 
 
 def says_other(info: CameraInfoMessage, used: CameraInfoMessage | None) -> bool:

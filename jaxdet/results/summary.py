@@ -169,8 +169,10 @@ class LogSummary(Counts):
 
     def _floor_cause(self) -> str:
         """Return a likely cause of missing floors, by the camera's mount, and its remedy."""
+        if not (self.floor_sources["tf"] or self.floor_sources["none"]):
+            return ""
         if any(ROLL_FLAG in text for text in self.warnings):
-            return f"the camera looks turned, as the warning with {ROLL_FLAG} says"
+            return f"the camera looks mounted otherwise, as the warning with {ROLL_FLAG} says"
         if not self.floor_sources["tf"]:
             return ""
         mount = next((record for record in self.ground if record.pitch_rad is not None), None)
@@ -179,7 +181,7 @@ class LogSummary(Counts):
             looks = f"by its transforms the camera looks {angles[0]:.0f}° down, rolled by "
             looks += f"{angles[1]:.0f}°: its images may not be in the frame that they name"
             return f"{looks}; name the optical frame with --log.camera-frame"
-        text = "by its transforms the camera is elsewhere than over the floor"
+        text = "by its transforms the camera may be elsewhere than over the floor"
         return f"{text}; name the frame whose z = 0 is the floor with --log.base-frame"
 
     @property
@@ -201,7 +203,8 @@ class LogSummary(Counts):
         return (
             f"{self.tilted_frames} of {self.status[FrameStatus.OK]} frames have no place in the "
             f"world and on the map: their floor is tilted by more than {MOST_TILT_DEG:g}° in it, "
-            "so its z is not up; give poses in a world whose z points up, or none"
+            "so its z is not up, or the camera's mount is wrong; give poses in a world whose z "
+            "points up, or none"
         )
 
     @property

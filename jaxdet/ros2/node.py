@@ -20,7 +20,7 @@ from jaxdet.export.ros2 import LOCAL, MESSAGES, frame_messages
 from jaxdet.export.sidecar import floor_transform
 from jaxdet.floor.mount import Mount
 from jaxdet.io.images import check_pixels, decode_depth, is_depth_encoding
-from jaxdet.io.intrinsics import CameraSource, find_intrinsics
+from jaxdet.io.intrinsics import CameraSource, find_intrinsics, is_rectified
 from jaxdet.io.message_fields import parse
 from jaxdet.io.messages import CameraInfoMessage, ImageMessage, Kind
 from jaxdet.io.motion import motion_matrix
@@ -235,7 +235,7 @@ class ObstacleNode:
                 topic=self._info_topic,
                 info=calibration,
                 size=ImageSize(depth.width, depth.height),
-                rectified="rect" in self._depth_topic.lower().replace("/", "_").split("_"),
+                rectified=is_rectified(self._depth_topic),
                 matrix=None,
                 model=None,
                 path="",
