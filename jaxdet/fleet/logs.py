@@ -2,8 +2,8 @@
 
 ``{"log": "monday/drive_1", "name": "monday--drive_1", "url": "s3://bucket/logs", "files": [...]}``:
 ``log`` is the log's name in tables, ``name`` the name of its folder of results; ``url`` is empty
-for local logs. Each of ``files`` has a ``key`` (for local logs the path), a ``size``, and a
-``tag``, which identifies the version of the file that was listed.
+for local logs, which also have ``remarks`` on their files. Each of ``files`` has a ``key`` (for
+local logs the path), a ``size``, and a ``tag``, which identifies the version that was listed.
 """
 
 import hashlib
@@ -133,7 +133,9 @@ def _local(paths: Sequence[str], join: bool) -> list[Log]:
     from jaxdet.io import find_logs
     from jaxdet.results.manifest import fingerprint
 
-    return [
-        _log(log.name, "", [input_entry(fingerprint(path.absolute())) for path in log.paths])
-        for log in find_logs(paths, join=join)
-    ]
+    logs = []
+    for found in find_logs(paths, join=join):
+        files = [input_entry(fingerprint(path.absolute())) for path in found.paths]
+        remarks = {"note": found.note, "about": found.about}
+        logs.append({**_log(found.name, "", files), "remarks": remarks})
+    return logs

@@ -303,16 +303,11 @@ class Folder:
         return True
 
     def swap(self, key: str, content: bytes, tag: Tag) -> bool:
-        with self._made(key) as path:
-            handle = os.open(path.parent, os.O_RDONLY)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX)
-                found = self.get(key)
-                if found is None or found[1] != tag:
-                    return False
-                write_whole(path, content)
-            finally:
-                os.close(handle)
+        with self._made(key) as path, locked(path.parent):
+            found = self.get(key)
+            if found is None or found[1] != tag:
+                return False
+            write_whole(path, content)
         return True
 
     def delete(self, keys: Iterable[str]) -> None:
@@ -326,6 +321,17 @@ class Folder:
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             yield path
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Lock a folder against other processes that lock it."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _tag(about: os.stat_result) -> Tag:

@@ -19,13 +19,13 @@ import hashlib
 import json
 import secrets
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxdet.errors import InputError
-from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, open_place
+from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, locked, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
 from jaxdet.results.durable import finish, publish, remove, writing
 from jaxdet.results.layout import FAILED, FLEET, MANIFEST, SUMMARY
@@ -58,6 +58,9 @@ class Standing(NamedTuple):
     current: Mapping[str, Any] | None = None
     """Content of ``current.json``: ``version``, ``record``, and ``attempt`` or ``failure``. In a
     folder, ``record`` and ``failure``."""
+    has_results: bool = False
+    """Whether there are complete results of this record, of this or another input. A failure
+    doesn't replace them."""
 
 
 def open_results(url: str) -> "Results":
@@ -112,9 +115,27 @@ class _Attempts:
             lost += dead is None and time.time() - record["time"] < _DAY_S
         return killed, lost
 
+    def note_failure(self, target: Target, failure: Mapping[str, Any]) -> None:
+        """Write why a version has no results, next to older results, which are kept."""
+        self.place.put(self._failure_key(target), _bytes(failure))
+
+    def failure(self, target: Target, seen: Standing) -> Mapping[str, Any] | None:
+        """Return why an earlier attempt failed; None if none did."""
+        if seen.has_results:
+            return self._json(self._failure_key(target))
+        return seen.current["failure"] if seen.current and seen.state == "failed" else None
+
+    def _failure_key(self, target: Target) -> str:
+        return self.notes(target).rstrip("/") + ".json"
+
     def forget(self, target: Target) -> None:
         """Remove the notes about a version."""
-        self.place.delete([entry.key for entry in self.place.list(self.notes(target))])
+        notes = [entry.key for entry in self.place.list(self.notes(target))]
+        self.place.delete([*notes, self._failure_key(target)])
+
+    def _json(self, key: str) -> dict[str, Any] | None:
+        found = self.place.get(key)
+        return json.loads(found[0]) if found else None
 
 
 class BucketResults(_Attempts):
@@ -128,10 +149,12 @@ class BucketResults(_Attempts):
         current = self._json(f"{target.name}/{CURRENT}")
         if not current:
             return Standing("new")
+        kept = "attempt" in current and current["record"] == target.record
         if current["version"] != target.version:
-            return Standing("other", current)
+            return Standing("other", current, kept)
         states = ("whole", "attempt"), ("failed", "failure")
-        return Standing(next((state for state, key in states if key in current), "new"), current)
+        state = next((state for state, key in states if key in current), "new")
+        return Standing(state, current, kept)
 
     def stage(self, attempt: str, spool: Path) -> Path:
         """Return the path at which an attempt makes its results folder."""
@@ -174,7 +197,8 @@ class BucketResults(_Attempts):
     def reopen(self, target: Target, seen: Standing) -> None:
         """Remove the failure of a log and the notes of its attempts."""
         self.forget(target)
-        self._point(target, {}, seen)
+        if not seen.has_results:
+            self._point(target, {}, seen)
 
     def files(self, name: str) -> dict[str, str]:
         """Return the keys of a log's files by their names in its folder; empty without results."""
@@ -207,10 +231,6 @@ class BucketResults(_Attempts):
             if self.place.swap(key, text, found[1]) if found else self.place.create(key, text):
                 return "done"
 
-    def _json(self, key: str) -> dict[str, Any] | None:
-        found = self.place.get(key)
-        return json.loads(found[0]) if found else None
-
 
 class FolderResults(_Attempts):
     """Results of logs in a folder that several processes or machines share."""
@@ -224,12 +244,13 @@ class FolderResults(_Attempts):
 
     def standing(self, target: Target) -> Standing:
         for file, state in ((MANIFEST, "whole"), (FAILED, "failed")):
-            if found := self.place.get(f"{target.name}/{file}"):
-                content = json.loads(found[0])
+            if content := self._json(f"{target.name}/{file}"):
                 record = content.get("run", "") + content.get("overwrites", "")
                 inputs = map(input_entry, content.get("fetched") or content.get("inputs") or ())
                 same = version_of(record, inputs) == target.version
-                return Standing(state if same else "other", {"record": record, "failure": content})
+                kept = state == "whole" and record == target.record
+                current = {"record": record, "failure": content}
+                return Standing(state if same else "other", current, kept)
         return Standing("new")
 
     def stage(self, attempt: str, spool: Path) -> Path:
@@ -242,31 +263,44 @@ class FolderResults(_Attempts):
         return parent / f"{process()}-{attempt}"
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
-        return self._place(target, staged, () if seen.state == "whole" else ("whole",))
+        states = {"whole": "there", "other": "replaced"}
+        return self._place(
+            target, staged, lambda now: states.get(now.state) if now != seen else None
+        )
 
     def summary(self, target: Target, attempt: str) -> dict[str, Any]:
-        found = self.place.get(f"{target.name}/{SUMMARY}")
-        return json.loads(found[0]) if found else {}
+        return self._json(f"{target.name}/{SUMMARY}") or {}
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
         staged = self.stage(f"failed-{secrets.token_hex(4)}", Path())
         with writing(staged):
             staged.mkdir()
             (staged / FAILED).write_bytes(_bytes(failure))
-        self._place(target, staged, ("whole", "failed"))
+        self._place(
+            target,
+            staged,
+            lambda now: "there" if now.has_results or now.state == "failed" else None,
+        )
 
     def reopen(self, target: Target, seen: Standing) -> None:
         self.forget(target)
         self.place.delete([f"{target.name}/{FAILED}"])
 
-    def _place(self, target: Target, staged: Path, unless: tuple[str, ...]) -> str:
+    def _place(self, target: Target, staged: Path, unless: Callable[[Standing], str | None]) -> str:
+        """Move a folder to its final path, unless ``unless`` returns the state of the results."""
+        state = None
+
         def is_there() -> bool:
-            return self.standing(target).state in unless
+            nonlocal state
+            state = unless(self.standing(target))
+            return state is not None
 
         try:
-            return "done" if publish(staged, self.root, target.name, is_there) else "there"
+            with locked(self.root):
+                publish(staged, self.root, target.name, is_there)
         finally:
             remove(staged)
+        return state or "done"
 
 
 Results = BucketResults | FolderResults

@@ -28,7 +28,9 @@ from jaxdet.fleet.publish import (
 from jaxdet.fleet.spool import Spool, check_room, sweep
 from jaxdet.io.splits import METADATA
 from jaxdet.results.durable import remove
-from jaxdet.results.layout import FAILED, RUN, TRACKS
+from jaxdet.results.json_files import read_json
+from jaxdet.results.layout import FAILED, RUN, SUMMARY, TRACKS, is_complete
+from jaxdet.results.summary import problems
 
 
 def run_log(log: Log, place: str, how: Mapping[str, Any]) -> dict[str, Any]:
@@ -89,7 +91,7 @@ class _Job:
 
     Attributes:
         outcome: Outcome of the log; None until it is known.
-        path: Path of the log on local disk.
+        paths: Files of the log on local disk.
         held: Size of the log's copy on local disk [bytes].
     """
 
@@ -99,7 +101,8 @@ class _Job:
         self.target = Target(log["name"], version, how["record"])
         self.outcome: dict[str, Any] | None = None
         self.spool: Spool | None = None
-        self.path, self.held, self.fetch_s = Path(), 0, 0.0
+        self.paths: list[Path] = []
+        self.held, self.fetch_s = 0, 0.0
 
     def close(self) -> None:
         """Remove the log from local disk."""
@@ -123,7 +126,7 @@ class _Job:
         try:
             check_room(where, self.held, self.how.get("spool_size"), held)
             self.spool = Spool(where)
-            self.path = _fetch(log, self.spool.path, stop)
+            self.paths = _fetch(log, self.spool.path, stop)
         except InputError as error:
             if held and not self.spool:
                 return False
@@ -139,22 +142,21 @@ class _Job:
         current = seen.current or {}
         if seen.state == "whole":
             about = self.results.summary(self.target, current.get("attempt", ""))
-            lost = [frames for log in about.get("logs", ()) for frames in log["lost"]]
-            if not (lost and how.get("update")):
-                counts = {key: about.get(key, 0) for key in ("frames", "obstacles")}
-                self._end("there", error=self._add_tracks(), lost=lost, **counts)
+            incomplete = any(log["lost"] or log["error"] for log in about.get("logs", ()))
+            if not (incomplete and how.get("update")):
+                found = self._reported(about)
+                self._end("there", **_joined(found, self._add_tracks()))
                 return False
-        if seen.state == "failed":
-            failure = current["failure"]
-            if not how.get("update") or failure.get("command") == how["command"]:
-                self._end("failed", error=failure["reason"])
-                return False
-            self.results.reopen(self.target, seen)
         replace = how.get("update") or how.get("overwrite")
         if seen.state == "other" and current["record"] == how["record"] and not replace:
             error = "there are results of another input; --update replaces them"
             self._end("failed", error=error)
             return False
+        if failure := self.results.failure(self.target, seen):
+            if not how.get("update") or failure.get("command") == how["command"]:
+                self._end("failed", error=failure["reason"])
+                return False
+            self.results.reopen(self.target, seen)
         killed, lost = self._deaths()
         if killed >= MOST_KILLED or killed + lost >= MOST_LOST:
             self._fail(f"{killed + lost} processes that worked on it died")
@@ -171,10 +173,10 @@ class _Job:
             self.spool.witness(self.results.place.url, key)
             found = self._run(staged)
             found["run_s"] = round(time.monotonic() - begin, 3)
-            if found["error"]:
+            if not is_complete(staged):
                 return self._fail(staged=staged, **found)
             if self.how.get("tracks"):
-                found["error"] = _link(staged)
+                found = _joined(found, _link(staged))
             state = self.results.publish(self.target, attempt, staged, self.seen)
             if state == "replaced":
                 found["error"] = "another run published results of another input meanwhile"
@@ -186,21 +188,37 @@ class _Job:
                 self.results.end(key)
 
     def _run(self, staged: Path) -> dict[str, Any]:
-        """Run the engine; errors of the log are in ``error``."""
+        """Run the engine and return entries of the outcome; ``error`` has errors of the log."""
         from jaxdet import engine
 
         given = {**self.how, "name": self.log["log"], "about": self._about()}
+        given["remarks"] = self.log.get("remarks")
         try:
-            found = engine.run_one(str(self.path), staged, given)
+            found = engine.run_one(list(map(str, self.paths)), staged, given)
         except (ConfigError, OutputError):
             raise
         except JaxdetError as error:
-            return {"error": self._renamed(str(error))}
+            return {"error": self._renamed(str(error), self.paths)}
         except Exception as error:
             return {"error": f"an error in jaxdet itself ({type(error).__name__}: {error})"}
-        error = self._renamed(found["error"]) if found["error"] else None
-        kept = {key: found[key] for key in ("frames", "obstacles", "lost", "warnings")}
-        return {**kept, "error": error}
+        if is_complete(staged):
+            return self._reported(read_json(staged / SUMMARY))
+        error = self._renamed(found["error"], self.paths)
+        return {"error": error, "warnings": found["warnings"]}
+
+    def _reported(self, summary: Mapping[str, Any]) -> dict[str, Any]:
+        """Return entries of the outcome from the ``summary.json`` of a log."""
+        logs = summary.get("logs", ())
+        paths = [Path(path) for log in logs for path in log["paths"]]
+        lost = [frames for log in logs for frames in log["lost"]]
+        errors = [line for line in problems(summary) if line not in lost] if logs else []
+        return {
+            "error": self._renamed("; ".join(errors), paths) or None,
+            "frames": summary.get("frames", 0),
+            "obstacles": summary.get("obstacles", 0),
+            "lost": lost,
+            "warnings": [warning for log in logs for warning in log["warnings"]],
+        }
 
     def _end(self, state: str, **values: Any) -> dict[str, Any]:
         """Set the outcome, and return it."""
@@ -213,7 +231,7 @@ class _Job:
         """Publish the reason why the log has no results: ``failed.json``, if ``staged`` has one."""
         path = staged / FAILED if staged else None
         if path and path.exists():
-            content = json.loads(self._renamed(path.read_text(encoding="utf-8")))
+            content = json.loads(self._renamed(path.read_text("utf-8"), self.paths))
         else:
             from jaxdet.results.manifest import fingerprint
             from jaxdet.results.summary import LogSummary
@@ -224,7 +242,10 @@ class _Job:
             run = self.how["record"].removesuffix(self.how["overwrites"])
             content |= {"run": run, **self._about()}
         noted = {"attempts": max(1, sum(self._deaths())), "command": self.how["command"]}
-        self.results.fail(self.target, {**content, **noted}, self.seen)
+        if self.seen.has_results:
+            self.results.note_failure(self.target, {**content, **noted})
+        else:
+            self.results.fail(self.target, {**content, **noted}, self.seen)
         return self._end("failed", error=error, **values)
 
     def _deaths(self) -> tuple[int, int]:
@@ -247,11 +268,13 @@ class _Job:
             ]
         return about
 
-    def _renamed(self, text: str) -> str:
-        """Replace the path on local disk in a text by the log's address."""
-        log = self.log
-        first = log["files"][0]["key"]
-        return text.replace(str(self.path), f"{log['url']}/{first}") if log["url"] else text
+    def _renamed(self, text: str, paths: Sequence[Path]) -> str:
+        """Replace the paths of the log's local copy in a text by addresses."""
+        url = self.log["url"]
+        origin = f"{url}/{self.log['files'][0]['key']}".rpartition("/")[0]
+        for copy in {path.parent for path in paths if url}:
+            text = text.replace(str(copy), origin)
+        return text
 
     def _add_tracks(self) -> str | None:
         """Add missing tracks to results in a bucket; return the error if that fails."""
@@ -277,6 +300,12 @@ _OUTCOME = {"error": None, "frames": 0, "obstacles": 0, "lost": [], "warnings": 
 _OUTCOME |= {"fetch_s": 0.0, "run_s": 0.0, "publish_s": 0.0}
 
 
+def _joined(values: dict[str, Any], error: str | None) -> dict[str, Any]:
+    """Add an error to the entries of an outcome."""
+    errors = filter(None, (values["error"], error))
+    return {**values, "error": "; ".join(errors) or None}
+
+
 def _link(folder: Path) -> str | None:
     """Add tracks to results on local disk; return the error if that fails."""
     from jaxdet.tracks import TrackConfig
@@ -289,26 +318,21 @@ def _link(folder: Path) -> str | None:
     return None
 
 
-def _fetch(log: Log, folder: Path, stop: Event) -> Path:
-    """Copy a log to local disk and return its path; a local log is not copied."""
+def _fetch(log: Log, folder: Path, stop: Event) -> list[Path]:
+    """Copy a log of a bucket to a folder; return the paths of its recordings on local disk."""
     entries = entries_of(log)
-    if not log["url"] and not all(Path(entry.key).exists() for entry in entries):
-        raise InputError("is not on this machine", path=entries[0].key)
-    if not log["url"] and len(entries) == 1:
-        return Path(entries[0].key)
-    folder = folder / "log"
-    folder.mkdir()
-    place = open_place(log["url"]) if log["url"] else None
-    paths = [folder / Path(entry.key).name for entry in entries]
-    about = Path(entries[0].key).with_name(METADATA)
-    if not place and about.exists():  # otherwise the files may not count as one recording
-        (folder / METADATA).symlink_to(about)
+    if not log["url"]:
+        paths = [Path(entry.key) for entry in entries]
+        if not all(path.exists() for path in paths):
+            raise InputError("is not on this machine", path=str(paths[0]))
+        return paths
+    place = open_place(log["url"])
+    assert isinstance(place, Bucket)
+    paths = [folder / "log" / Path(entry.key).name for entry in entries]
+    paths[0].parent.mkdir()
     for entry, path in zip(entries, paths, strict=True):
-        if isinstance(place, Bucket):
-            place.fetch(entry, path, stop)
-        else:
-            path.symlink_to(entry.key)
-    return folder if len(paths) > 1 else paths[0]
+        place.fetch(entry, path, stop)
+    return [path for path in paths if path.name != METADATA]
 
 
 def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:

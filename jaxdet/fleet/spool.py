@@ -79,7 +79,7 @@ class Spool:
 
 def base_folder(base: str | None) -> Path:
     """Return the folder of all spools of this user on this machine."""
-    return Path(base or tempfile.gettempdir()) / f"jaxdet-spool-{os.getuid()}"
+    return Path(base or tempfile.gettempdir()).absolute() / f"jaxdet-spool-{os.getuid()}"
 
 
 def check_room(base: str | None, size: int, bound: int | None, held: int) -> None:

@@ -45,7 +45,7 @@ def stage(results, tmp_path: Path, attempt: str, record: str = "r1") -> Path:
     log = tmp_path / f"{attempt}.mcap"
     log.write_text(record)
     staged = results.stage(attempt, tmp_path / attempt)
-    run_one(log, staged, {"name": "log", "about": about(record)})
+    run_one([log], staged, {"name": "log", "about": about(record)})
     return staged
 
 

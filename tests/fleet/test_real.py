@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from jaxdet import open_results
 from jaxdet.cli import main
 from jaxdet.fleet import download, result_files
 from jaxdet.fleet.place import open_place
@@ -105,6 +106,10 @@ def test_a_share_joins_the_files_listed_in_metadata_even_after_a_pause(tmp_path,
     command = ["run", str(logs), "-o", out, "--pictures", "0"]
     assert main([*command, "--share", "1/1"]) == 0
     assert "1 logs: 1 done; 4 frames" in capsys.readouterr().out
+    assert main(["verify", out]) == 0
+    (about,) = open_results(out).logs
+    assert about.paths == (logs / "r_0.mcap", logs / "r_1.mcap")
+    assert "joined 2 files listed in metadata.yaml" in about.summary["notes"]
     assert main(command) == 0
     assert "1 log processed earlier: 4 frames" in capsys.readouterr().out
 

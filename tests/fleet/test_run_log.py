@@ -12,7 +12,7 @@ from jaxdet.errors import ConfigError, OutputError
 from jaxdet.fleet import list_logs, prepare, result_files, run_fleet, run_log, run_logs, spool
 from jaxdet.fleet import place as places
 from jaxdet.fleet.command import _of_a_node, _resources, chunks
-from jaxdet.fleet.place import Bucket, open_place
+from jaxdet.fleet.place import Bucket, is_url, open_place
 from tests.fleet.stub import check_complete, check_results, computed
 
 LOGS, RESULTS = "s3://bucket/logs", "s3://bucket/results"
@@ -62,10 +62,55 @@ def test_update_runs_failed_and_changed_logs_again(stores, engine, how, put, tmp
     assert len(kept) == 2  # current.json and one attempt
 
 
-@pytest.mark.parametrize("bucket", [True, False], ids=("bucket", "folder"))
-def test_lost_frames_are_reported_again_until_an_update(bucket, stores, engine, how, put, tmp_path):
+@pytest.fixture(params=["bucket", "folder"])
+def results(request, tmp_path):
+    """Return the address of results in a bucket or a folder."""
+    return RESULTS if request.param == "bucket" else str(tmp_path / "results")
+
+
+def table(results: str, tmp_path: Path) -> str:
+    """Assert that the results of log a are complete; return its table."""
+    if is_url(results):
+        return check_results(results, "a", tmp_path)
+    assert not (Path(results) / "a/failed.json").exists()
+    return check_complete(Path(results) / "a")
+
+
+@pytest.mark.parametrize("changed", [True, False])
+def test_results_are_kept_if_an_update_fails(changed, results, stores, engine, how, put, tmp_path):
+    put(LOGS, a="lose fail=1")
+    assert run_fleet([LOGS], results, how)[0]["lost"] == ["frame 1"]
+    old = table(results, tmp_path)
+    if changed:
+        put(LOGS, a="fail")
+        (outcome,) = run_fleet([LOGS], results, how)
+        assert "another input; --update" in outcome["error"]
+    update = {**how, "update": True}
+    for runs in (2, 3):  # each update tries the log again
+        (outcome,) = run_fleet([LOGS], results, update)
+        assert (outcome["state"], outcome["error"]) == ("failed", "no depth")
+        assert table(results, tmp_path) == old and len(computed(engine)) == runs
+    ready = prepare(results, update)
+    for _ in range(2):  # a scheduler repeats a call
+        assert run_log(list_logs(LOGS)[0], results, ready)["state"] == "failed"
+    assert len(computed(engine)) == 4
+    put(LOGS, a="better")
+    assert states(run_fleet([LOGS], results, update)) == {"a": "done"}
+    assert table(results, tmp_path) != old
+
+
+def test_a_camera_that_failed_does_not_fail_the_log(results, stores, engine, how, put, tmp_path):
+    put(LOGS, a="rear")
+    update = {**how, "update": True}
+    for given, state in ((how, "done"), (how, "there"), (update, "done")):
+        (outcome,) = run_fleet([LOGS], results, given)
+        assert (outcome["state"], outcome["frames"]) == (state, 3)
+        assert outcome["error"] == "s3://bucket/logs/a.mcap: rear camera: no depth"
+        assert table(results, tmp_path)
+
+
+def test_lost_frames_are_reported_again_until_an_update(results, stores, engine, how, put):
     put(LOGS, a="lose")
-    results = RESULTS if bucket else str(tmp_path / "results")
     given = [how, how, {**how, "update": True}, how]
     found = [run_fleet([LOGS], results, each)[0] for each in given]
     assert [one["state"] for one in found] == ["done", "there", "done", "there"]
@@ -209,7 +254,8 @@ import sys
 from tests.fleet.stub import install
 install()
 from jaxdet.fleet import run_fleet
-for outcome in run_fleet([sys.argv[1]], sys.argv[2], {"spool": sys.argv[3]}):
+how = {"spool": sys.argv[3], "update": "--update" in sys.argv}
+for outcome in run_fleet([sys.argv[1]], sys.argv[2], how):
     print(outcome["name"], outcome["state"], outcome["error"])
 """
 
@@ -228,6 +274,22 @@ def test_a_log_that_kills_three_processes_is_recorded_as_failed(engine, how, tmp
     assert failure["attempts"] == 3
     assert computed(engine, "a") == ["a"] * 3 and left(how) == []
     assert os.listdir(results / ".fleet/staged") == []
+
+
+def test_results_are_kept_if_the_changed_log_kills_three_processes(engine, how, tmp_path):
+    logs, results = tmp_path / "logs", tmp_path / "results"
+    logs.mkdir()
+    (logs / "a.mcap").write_text("a")
+    command = [sys.executable, "-c", KILLED, str(logs), str(results), how["spool"], "--update"]
+    ends = []
+    for text in (None, *["kill=9"] * 5):
+        (logs / "a.mcap").write_text(text or "a")
+        os.utime(logs / "a.mcap", (1, 1))
+        run = subprocess.run(command, check=False, capture_output=True, text=True)
+        ends.append(run.stdout.strip() or run.returncode)
+    assert ends[:4] == ["a done None", -9, -9, -9]
+    assert ends[4:] == ["a failed 3 processes that worked on it died", -9]
+    assert check_complete(results / "a")
 
 
 def test_credentials_are_never_written_or_printed(stores, engine, how, put, monkeypatch, capfd):
