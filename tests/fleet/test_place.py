@@ -151,9 +151,12 @@ def test_logs_of_a_bucket_are_listed(stores):
         "b": ["b.mcap"],
         "c_0": ["c_0.mcap"],
         "c_1": ["c_1.mcap"],
+        ".hidden/d": [".hidden/d.mcap"],
     }
     assert json.loads(json.dumps(logs)) == logs
     assert logs["day/a"]["name"] == "day--a" and size_of(logs["b"]) == 6
+    notes = filter(None, (log.get("remarks", {}).get("note") for log in logs.values()))
+    assert [*notes] == ["b.bag is left out: the same recording exists in another format"]
 
 
 LISTED = "rosbag2_bagfile_information:\n  relative_file_paths:\n"
@@ -170,6 +173,13 @@ LAYOUTS = {
         "r/r_1.db3.zstd": "",
         "r/metadata.yaml": "  - r_0.db3.zstd\n  - r_1.db3.zstd\n",
     },
+    "hidden": {
+        ".trash/x.mcap": "",
+        "a/.old/y.bag": "",
+        ".z.mcap": "",
+        "._z.mcap": "",
+        "b.mcap": "",
+    },
     "other names": {"r/a.mcap": "", "r/b.mcap": "", "r/metadata.yaml": "  - a.mcap\n  - b.mcap\n"},
     "a missing file": {
         "r_0.mcap": "",
@@ -185,7 +195,7 @@ def test_logs_have_the_same_names_in_a_bucket_and_in_a_folder(layout, stores, tm
     for name, text in LAYOUTS[layout].items():
         content = (LISTED + text if text else name).encode()
         open_place(url).put(name, content)
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(content)
 
     def files(place) -> dict[str, list[str]]:
