@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 from jaxdet.errors import ConfigError, InputError, OutputError
 from jaxdet.results.durable import write_whole, writing
+from jaxdet.results.layout import FLEET
 
 RANGE_BYTES = 64 << 20
 """Number of bytes per request of a fetch."""
@@ -114,7 +115,7 @@ def probe(place: "Place") -> None:
     Raises:
         ConfigError: The place ignores conditions, so two machines could both create a file.
     """
-    key = f".probe-{secrets.token_hex(8)}"
+    key = f"{FLEET}/probe-{secrets.token_hex(8)}"
     try:
         first, second, stale = place.create(key, b"1"), place.create(key, b"2"), True
         if found := place.get(key):

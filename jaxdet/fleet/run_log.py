@@ -356,8 +356,7 @@ def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
             raise ConfigError(problem, path=url, remedy="install the same versions everywhere")
         return how
     at = open_place(url)
-    if isinstance(at, Bucket):
-        probe(at)
+    probe(at)
     while True:
         found = at.get(RUN)
         before = json.loads(found[0]) if found else {}

@@ -8,11 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from jaxdet.errors import ConfigError, OutputError
+import jaxdet
+from jaxdet.engine import Progress
+from jaxdet.errors import ConfigError, Interrupted, OutputError
 from jaxdet.fleet import list_logs, prepare, result_files, run_fleet, run_log, run_logs, spool
 from jaxdet.fleet import place as places
 from jaxdet.fleet.command import _of_a_node, _resources, chunks
 from jaxdet.fleet.place import Bucket, is_url, open_place
+from jaxdet.sim import SimConfig, write_log
 from tests.fleet.stub import check_complete, check_results, computed
 
 LOGS, RESULTS = "s3://bucket/logs", "s3://bucket/results"
@@ -247,6 +250,21 @@ def test_logs_and_results_may_be_in_folders(engine, how, tmp_path):
         run_fleet([logs], results, {**how, "overwrite": True}, share="1/3")
     assert states(run_fleet([logs], results, {**how, "overwrite": True}))["b"] == "done"
     assert {path.name for path in results.iterdir()} == {"a", "b", "c", "run.json", ".fleet"}
+
+
+def test_an_interrupted_local_run_keeps_the_run_json_of_simultaneous_shares(tmp_path):
+    log, results = tmp_path / "a.mcap", tmp_path / "results"
+    write_log(log, SimConfig(frames=2, width=96, height=72))
+    how = {"pictures": 0, "preset": "wheeled", "spool": str(tmp_path)}
+    ready = prepare(str(results), how)  # a share has begun
+
+    def stop(_: Progress) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted):
+        jaxdet.run(log, results, pictures=0, progress=stop)
+    assert run_log(list_logs(log)[0], str(results), ready)["state"] == "done"
+    assert len(jaxdet.open_results(results).logs) == 1
 
 
 KILLED = """
