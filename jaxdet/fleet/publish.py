@@ -21,6 +21,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +29,8 @@ from jaxdet.errors import InputError
 from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, locked, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
 from jaxdet.results.durable import finish, publish, remove, writing
-from jaxdet.results.layout import FAILED, FLEET, MANIFEST, SUMMARY
+from jaxdet.results.layout import FAILED, FLEET, MANIFEST, RUN, SUMMARY
+from jaxdet.results.record import digest
 
 CURRENT = "current.json"
 MOST_KILLED = 3
@@ -58,9 +60,9 @@ class Standing(NamedTuple):
     current: Mapping[str, Any] | None = None
     """Content of ``current.json``: ``version``, ``record``, and ``attempt`` or ``failure``. In a
     folder, ``record`` and ``failure``."""
-    has_results: bool = False
-    """Whether there are complete results of this record, of this or another input. A failure
-    doesn't replace them."""
+    kept: str = ""
+    """Key of the folder of complete results of this record, of this or another input; a failure
+    doesn't replace them. Empty if there are none."""
 
 
 def open_results(url: str) -> "Results":
@@ -75,8 +77,8 @@ def version_of(record: str, files: Iterable[Entry]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-class _Attempts:
-    """Notes of the attempts that are being computed, stored next to the results."""
+class _Results:
+    """Results of logs, and next to them notes of the attempts that are being computed."""
 
     place: Place
 
@@ -121,7 +123,7 @@ class _Attempts:
 
     def failure(self, target: Target, seen: Standing) -> Mapping[str, Any] | None:
         """Return why an earlier attempt failed; None if none did."""
-        if seen.has_results:
+        if seen.kept:
             return self._json(self._failure_key(target))
         return seen.current["failure"] if seen.current and seen.state == "failed" else None
 
@@ -133,12 +135,33 @@ class _Attempts:
         notes = [entry.key for entry in self.place.list(self.notes(target))]
         self.place.delete([*notes, self._failure_key(target)])
 
+    def folder(self, name: str) -> str:
+        """Return the key of the folder of a log's complete results; empty if there are none."""
+        raise NotImplementedError
+
+    def files(self, name: str, run: str = "") -> dict[str, str]:
+        """Return the keys of a log's files by their names in its folder; empty without results.
+
+        Args:
+            name: Name of the log's results.
+            run: Checksum of a configuration; results of others are left out.
+        """
+        own = self.folder(name)
+        manifest = self._json(f"{own}/{MANIFEST}") if own else None
+        if not manifest or run not in ("", manifest["run"]):
+            return {}
+        return {file: f"{own}/{file}" for file in (*manifest["files"], MANIFEST)}
+
+    def summary(self, seen: Standing) -> dict[str, Any]:
+        """Return ``summary.json`` of results of this record; empty if they were replaced."""
+        return self._json(f"{seen.kept}/{SUMMARY}") or {}
+
     def _json(self, key: str) -> dict[str, Any] | None:
         found = self.place.get(key)
         return json.loads(found[0]) if found else None
 
 
-class BucketResults(_Attempts):
+class BucketResults(_Results):
     """Results of logs in a bucket."""
 
     def __init__(self, place: Bucket) -> None:
@@ -149,7 +172,8 @@ class BucketResults(_Attempts):
         current = self._json(f"{target.name}/{CURRENT}")
         if not current:
             return Standing("new")
-        kept = "attempt" in current and current["record"] == target.record
+        own = current["record"] == target.record and "attempt" in current
+        kept = f"{target.name}/{current['attempt']}" if own else ""
         if current["version"] != target.version:
             return Standing("other", current, kept)
         states = ("whole", "attempt"), ("failed", "failure")
@@ -197,20 +221,18 @@ class BucketResults(_Attempts):
     def reopen(self, target: Target, seen: Standing) -> None:
         """Remove the failure of a log and the notes of its attempts."""
         self.forget(target)
-        if not seen.has_results:
+        if not seen.kept:
             self._point(target, {}, seen)
 
-    def files(self, name: str) -> dict[str, str]:
-        """Return the keys of a log's files by their names in its folder; empty without results."""
-        current = self._json(f"{name}/{CURRENT}") or {}
-        own = f"{name}/{current.get('attempt')}"
-        manifest = self._json(f"{own}/{MANIFEST}") if "attempt" in current else None
-        names = [*manifest["files"], MANIFEST] if manifest else ()
-        return {file: f"{own}/{file}" for file in names}
+    def logs(self) -> list[str]:
+        """Return the names of all logs, in order."""
+        keys = (entry.key.rpartition("/") for entry in self.place.list())
+        return sorted(name for name, _, file in keys if file == CURRENT)
 
-    def summary(self, target: Target, attempt: str) -> dict[str, Any]:
-        """Return the content of ``summary.json`` of an attempt; empty if it was replaced."""
-        return self._json(f"{target.name}/{attempt}/{SUMMARY}") or {}
+    def folder(self, name: str) -> str:
+        """Return the key of the folder of a log's complete results; empty if there are none."""
+        current = self._json(f"{name}/{CURRENT}") or {}
+        return f"{name}/{current['attempt']}" if "attempt" in current else ""
 
     def _point(self, target: Target, to: Mapping[str, Any], seen: Standing) -> str:
         """Write ``current.json``, unless another attempt has published since ``seen`` was read.
@@ -232,7 +254,7 @@ class BucketResults(_Attempts):
                 return "done"
 
 
-class FolderResults(_Attempts):
+class FolderResults(_Results):
     """Results of logs in a folder that several processes or machines share."""
 
     def __init__(self, place: Folder) -> None:
@@ -248,7 +270,7 @@ class FolderResults(_Attempts):
                 record = content.get("run", "") + content.get("overwrites", "")
                 inputs = map(input_entry, content.get("fetched") or content.get("inputs") or ())
                 same = version_of(record, inputs) == target.version
-                kept = state == "whole" and record == target.record
+                kept = target.name if state == "whole" and record == target.record else ""
                 current = {"record": record, "failure": content}
                 return Standing(state if same else "other", current, kept)
         return Standing("new")
@@ -268,8 +290,11 @@ class FolderResults(_Attempts):
             target, staged, lambda now: states.get(now.state) if now != seen else None
         )
 
-    def summary(self, target: Target, attempt: str) -> dict[str, Any]:
-        return self._json(f"{target.name}/{SUMMARY}") or {}
+    def logs(self) -> list[str]:
+        return sorted(path.parent.name for path in self.root.glob(f"*/{MANIFEST}"))
+
+    def folder(self, name: str) -> str:
+        return name
 
     def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
         staged = self.stage(f"failed-{secrets.token_hex(4)}", Path())
@@ -279,7 +304,7 @@ class FolderResults(_Attempts):
         self._place(
             target,
             staged,
-            lambda now: "there" if now.has_results or now.state == "failed" else None,
+            lambda now: "there" if now.kept or now.state == "failed" else None,
         )
 
     def reopen(self, target: Target, seen: Standing) -> None:
@@ -309,18 +334,19 @@ Results = BucketResults | FolderResults
 def result_files(url: str, name: str = "obstacles.parquet") -> list[str]:
     """Return the addresses of one file of every log with results, for readers of tables.
 
+    Results of another configuration or version than ``run.json``, which a run with ``--overwrite``
+    has not replaced yet, are left out.
+
     Args:
         url: Place of results.
         name: Name of the file in a log's folder.
     """
     results = open_results(url)
-    if isinstance(results, FolderResults):
-        return sorted(str(path) for path in results.root.glob(f"*/{name}"))
-    keys = sorted(entry.key for entry in results.place.list())
-    logs = [key.partition("/")[0] for key in keys if key.endswith(f"/{CURRENT}")]
+    found = results.place.get(RUN)
+    run = digest(json.loads(found[0])) if found else ""
     with ThreadPoolExecutor(32) as pool:
-        found = pool.map(results.files, logs)
-        return [f"{results.place.url}/{files[name]}" for files in found if name in files]
+        logs = pool.map(partial(results.files, run=run), results.logs())
+        return [f"{results.place.url}/{files[name]}" for files in logs if name in files]
 
 
 def download(url: str, name: str, folder: Path) -> Path:
@@ -330,7 +356,6 @@ def download(url: str, name: str, folder: Path) -> Path:
         InputError: There are no results, or they were replaced during the copy.
     """
     results = open_results(url)
-    assert isinstance(results, BucketResults)
     files = results.files(name)
     if not files:
         raise InputError("has no results", path=f"{url}/{name}")

@@ -141,7 +141,7 @@ class _Job:
         self.seen = seen = self.results.standing(self.target)
         current = seen.current or {}
         if seen.state == "whole":
-            about = self.results.summary(self.target, current.get("attempt", ""))
+            about = self.results.summary(seen)
             incomplete = any(log["lost"] or log["error"] for log in about.get("logs", ()))
             if not (incomplete and how.get("update")):
                 found = self._reported(about)
@@ -242,7 +242,7 @@ class _Job:
             run = self.how["record"].removesuffix(self.how["overwrites"])
             content |= {"run": run, **self._about()}
         noted = {"attempts": max(1, sum(self._deaths())), "command": self.how["command"]}
-        if self.seen.has_results:
+        if self.seen.kept:
             self.results.note_failure(self.target, {**content, **noted})
         else:
             self.results.fail(self.target, {**content, **noted}, self.seen)

@@ -122,26 +122,27 @@ def test_lost_frames_are_reported_again_until_an_update(results, stores, engine,
 
 
 def test_another_configuration_is_refused_unless_results_are_overwritten(
-    stores, engine, how, put, tmp_path
+    results, stores, engine, how, put, tmp_path
 ):
     put(LOGS, a="a", b="b")
-    run_fleet([LOGS], RESULTS, how)
+    run_fleet([LOGS], results, how)
     other = {**how, "config": {"ground": {"step_height_m": 0.05}}}
     with pytest.raises(ConfigError, match=r"ground\.step_height_m was 0\.03 and is 0\.05 now"):
-        run_fleet([LOGS], RESULTS, other)
-    old = check_results(RESULTS, "a", tmp_path)
-    begun = prepare(RESULTS, {**other, "overwrite": True})
+        run_fleet([LOGS], results, other)
+    old = table(results, tmp_path)
+    begun = prepare(results, {**other, "overwrite": True})
     (log, rest) = list_logs(LOGS)
-    assert run_log(log, RESULTS, begun)["state"] == "done"  # the run is killed here
-    assert check_results(RESULTS, "a", tmp_path) != old
+    assert run_log(log, results, begun)["state"] == "done"  # the run is killed here
+    assert table(results, tmp_path) != old
     with pytest.raises(ConfigError):
-        run_fleet([LOGS], RESULTS, how)
-    assert states(run_fleet([LOGS], RESULTS, other)) == {"a": "there", "b": "done"}
-    late = prepare(RESULTS, other)
-    again = run_fleet([LOGS], RESULTS, {**other, "overwrite": True})
+        run_fleet([LOGS], results, how)
+    assert [Path(url).relative_to(Path(results)).parts[0] for url in result_files(results)] == ["a"]
+    assert states(run_fleet([LOGS], results, other)) == {"a": "there", "b": "done"}
+    late = prepare(results, other)
+    again = run_fleet([LOGS], results, {**other, "overwrite": True})
     assert states(again) == {"a": "done", "b": "done"}
     with pytest.raises(ConfigError, match="this machine"):
-        run_log(rest, RESULTS, {**late, "overwrites": "else"})
+        run_log(rest, results, {**late, "overwrites": "else"})
 
 
 def test_a_log_replaced_while_it_is_fetched_fails_without_a_record(
