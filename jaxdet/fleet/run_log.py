@@ -18,7 +18,6 @@ from jaxdet.fleet.place import Bucket, address, open_place, probe
 from jaxdet.fleet.publish import (
     MOST_KILLED,
     MOST_LOST,
-    BucketResults,
     Results,
     Target,
     download,
@@ -277,22 +276,21 @@ class _Job:
         return text
 
     def _add_tracks(self) -> str | None:
-        """Add missing tracks to results in a bucket; return the error if that fails."""
-        results = self.results
-        if not (self.how.get("tracks") and isinstance(results, BucketResults)):
-            return None
-        if TRACKS in results.files(self.target.name):
+        """Add missing tracks to results; return the error if that fails."""
+        results, name, attempt = self.results, self.target.name, secrets.token_hex(6)
+        if not self.how.get("tracks") or TRACKS in results.files(name):
             return None
         spool = Spool(self.how.get("spool"))
+        staged = results.stage(attempt, spool.path)
         try:
-            folder = download(results.place.url, self.target.name, spool.path / "results")
-            error = _link(folder)
+            error = _link(download(results.place.url, name, staged))
             if error is None:
-                results.publish(self.target, secrets.token_hex(6), folder, self.seen)
+                results.publish(self.target, attempt, staged, self.seen)
             return error
         except InputError as error:  # another machine may have published results with tracks
-            return None if TRACKS in results.files(self.target.name) else str(error)
+            return None if TRACKS in results.files(name) else str(error)
         finally:
+            remove(staged)
             spool.close()
 
 
