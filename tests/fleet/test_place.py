@@ -198,13 +198,14 @@ def test_logs_have_the_same_names_in_a_bucket_and_in_a_folder(layout, stores, tm
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(content)
 
-    def files(place) -> dict[str, list[str]]:
-        named = {
-            log["log"]: [Path(f["key"]).name for f in log["files"]] for log in list_logs(place)
-        }
+    def files(place, *, join: bool) -> dict[str, list[str]]:
+        logs = list_logs(place, join=join)
+        named = {log["log"]: [Path(f["key"]).name for f in log["files"]] for log in logs}
         return {log: [name for name in names if "yaml" not in name] for log, names in named.items()}
 
-    assert files(url) == files(tmp_path)
+    for join in (True, False):
+        assert files(url, join=join) == files(tmp_path, join=join)
+    assert all(len(names) == 1 for names in files(url, join=False).values())
 
 
 def test_a_bucket_without_logs_is_an_error(stores):
