@@ -34,6 +34,9 @@ _MULTIPART_BYTES = 1 << 30
 _URL = re.compile(r"(s3|gs|az):/+(.*)", re.DOTALL | re.IGNORECASE)
 _SECRET = re.compile(r"(?<=:/)(/*)(?:[^/\s@]*@|[^/\s]*:\S*@)|[?#][^\s\"')]*")
 """User parts of addresses, whose passwords may contain slashes, and queries."""
+_RESPONSE = re.compile(r"(?:<\?xml[^>]*>\s*)?<Error>.*?(?:</Error>|$)", re.DOTALL)
+"""Error in a response of a store. It may name the key and what was signed with it."""
+_REASON = re.compile(r"<(?:Code|Message)>([^<]*)<")
 _REMEDY = "check the address, the keys in the environment, and who may read and write there"
 
 Tag = Mapping[str, str]
@@ -63,11 +66,14 @@ def input_entry(about: Mapping[str, Any]) -> Entry:
 
 
 def scrub(text: str) -> str:
-    """Remove possible credentials from an address or an error: user parts and queries.
+    """Remove possible credentials from an address or an error: user parts, queries, keys.
 
     >>> scrub("GET s3://key:secret@bucket/logs?sig=123 failed")
     'GET s3://bucket/logs failed'
+    >>> scrub("403: <Error><Code>AccessDenied</Code><AWSAccessKeyId>AKID</AWSAccessKeyId></Error>")
+    '403: AccessDenied'
     """
+    text = _RESPONSE.sub(lambda found: ": ".join(_REASON.findall(found[0])), text)
     return _SECRET.sub(r"\1", text)
 
 
@@ -244,7 +250,7 @@ class Bucket:
         try:
             yield
         except (BaseError, OSError, ValueError) as error:
-            text = scrub(str(error).partition("\n")[0])
+            text = scrub(str(error)).partition("\n")[0]
             path = f"{self.url}/{key}" if key else self.url
             raise OutputError(f"can't be used ({text})", path=path, remedy=_REMEDY) from None
 
@@ -263,7 +269,7 @@ def _store(url: str) -> Any:
     try:
         return from_url(url)
     except (BaseError, ValueError) as error:
-        text = scrub(str(error).partition("\n")[0])
+        text = scrub(str(error)).partition("\n")[0]
         raise ConfigError(f"can't be opened ({text})", path=url, remedy=_REMEDY) from None
 
 

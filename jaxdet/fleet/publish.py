@@ -19,7 +19,7 @@ import hashlib
 import json
 import secrets
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -285,10 +285,7 @@ class FolderResults(_Results):
         return parent / f"{process()}-{attempt}"
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
-        states = {"whole": "there", "other": "replaced"}
-        return self._place(
-            target, staged, lambda now: states.get(now.state) if now != seen else None
-        )
+        return self._place(target, staged, seen)
 
     def logs(self) -> list[str]:
         return sorted(path.parent.name for path in self.root.glob(f"*/{MANIFEST}"))
@@ -301,31 +298,33 @@ class FolderResults(_Results):
         with writing(staged):
             staged.mkdir()
             (staged / FAILED).write_bytes(_bytes(failure))
-        self._place(
-            target,
-            staged,
-            lambda now: "there" if now.kept or now.state == "failed" else None,
-        )
+        self._place(target, staged, seen)
 
     def reopen(self, target: Target, seen: Standing) -> None:
         self.forget(target)
         self.place.delete([f"{target.name}/{FAILED}"])
 
-    def _place(self, target: Target, staged: Path, unless: Callable[[Standing], str | None]) -> str:
-        """Move a folder to its final path, unless ``unless`` returns the state of the results."""
-        state = None
+    def _place(self, target: Target, staged: Path, seen: Standing) -> str:
+        """Move a folder to its final path, unless others published since ``seen`` was read.
+
+        Returns:
+            See :meth:`BucketResults.publish`.
+        """
+        state = "done"
 
         def is_there() -> bool:
             nonlocal state
-            state = unless(self.standing(target))
-            return state is not None
+            now = self.standing(target)
+            states = {"whole": "there", "other": "replaced"} if now != seen else {}
+            state = states.get(now.state, "done")
+            return state != "done"
 
         try:
             with locked(self.root):
                 publish(staged, self.root, target.name, is_there)
         finally:
             remove(staged)
-        return state or "done"
+        return state
 
 
 Results = BucketResults | FolderResults

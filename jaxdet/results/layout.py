@@ -74,4 +74,6 @@ def check_folder(folder: Path) -> None:
     if not folder.is_dir():
         problem = "a file, not a folder of results" if folder.exists() else "no such folder"
         remedy = "name the folder that jaxdet run --output wrote"
+        if ":/" in str(folder):
+            remedy = "copy results from a bucket to a folder first, see jaxdet help fleets"
         raise InputError(problem, path=str(folder), remedy=remedy)

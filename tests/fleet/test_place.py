@@ -75,12 +75,16 @@ def test_credentials_in_an_address_are_refused_and_not_shown(url, tmp_path):
 def test_credentials_in_an_error_of_the_store_are_not_shown(stores):
     class Broken:
         def __getattr__(self, name):
-            raise OSError("GET https://user:secret@host/x?sig=secret: 403\nDebug: secret")
+            body = (
+                "<Error><Code>Denied</Code>\n<Message>No access</Message><Key>secret</Key></Error>"
+            )
+            body = f'<?xml version="1.0"?>\n{body}\nDebug: secret'
+            raise OSError(f"GET https://user:secret@host/x?sig=secret: 403 {body}")
 
     place = Bucket("s3://bucket/x")
     with pytest.raises(OutputError) as raised, place._reached("key"):
         Broken().read()
-    assert "secret" not in str(raised.value) and "403" in str(raised.value)
+    assert "secret" not in str(raised.value) and "403 Denied: No access)" in str(raised.value)
     assert "s3://bucket/x/key" in str(raised.value)
 
 

@@ -145,16 +145,18 @@ def test_one_of_four_simultaneous_attempts_is_published(url, tmp_path):
         assert len(kept) == 2  # current.json and one attempt
 
 
-def test_a_late_attempt_does_not_replace_a_newer_version(stores, tmp_path):
-    results = open_results("s3://bucket/results")
+def test_a_late_attempt_does_not_replace_a_newer_version(url, tmp_path):
+    results = open_results(url)
     old, new = target_of("r1"), target_of("r2")
     late = results.standing(old)
     staged = stage(results, tmp_path, "a0", "r1")
     fresh = stage(results, tmp_path, "a1", "r2")
     assert results.publish(new, "a1", fresh, results.standing(new)) == "done"
-    before = table("s3://bucket/results", tmp_path)
+    before = table(url, tmp_path)
     assert results.publish(old, "a0", staged, late) == "replaced"
-    assert table("s3://bucket/results", tmp_path) == before
+    assert table(url, tmp_path) == before
+    results.fail(old, {"reason": "late", **about("r1")}, late)
+    assert table(url, tmp_path) == before
     assert not [*results.place.list("log/a0")]
 
 
