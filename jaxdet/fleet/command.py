@@ -4,21 +4,24 @@
 """
 
 import os
+import signal
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import redirect_stdout
 from functools import partial
 from os import PathLike
 from typing import Any
 
 from jaxdet.engine.settings import Progress, ProgressCallback
-from jaxdet.errors import ConfigError, JaxdetError, WorkerError
+from jaxdet.errors import ConfigError, Interrupted, JaxdetError, WorkerError
 from jaxdet.fleet.logs import Log, list_logs, share_of, size_of
 from jaxdet.fleet.place import address
 from jaxdet.fleet.run_log import prepare, run_logs
 from jaxdet.memory import size_text
+from jaxdet.signals import stops_raised
 
 _PER_SLOT = 4
 """Ray tasks in flight per slot: no slot waits for the driver, and autoscalers see demand."""
@@ -58,6 +61,7 @@ def run_fleet(
         ConfigError: An argument is wrong.
         InputError: There are no logs.
         OutputError: A disk or a bucket can't be used.
+        Interrupted: A signal, for instance Ctrl-C, ended the run; logs that are done are kept.
     """
     if share and how.get("overwrite"):
         remedy = "name another --output, or run one log with --overwrite before the shares start"
@@ -68,16 +72,20 @@ def run_fleet(
     logs.sort(key=size_of, reverse=True)
     run: Callable[..., Iterator[dict[str, Any]]] = partial(run_on_ray, where=on) if on else run_logs
     found, failed, size, begin = [], 0, 0, time.monotonic()
-    with redirect_stdout(sys.stderr):  # Ray's messages about workers
-        for outcome in run(logs, place, prepare(place, how)):
-            found.append(outcome)
-            failed += outcome["state"] == "failed"
-            size += outcome["bytes"] * (outcome["state"] == "done")
-            if progress:
-                rate = f"{size_text(int(size / max(time.monotonic() - begin, 1e-3)))}/s"
-                counts = {"logs_done": len(found), "logs_failed": failed}
-                now = outcome["log"], len(found) - 1, len(logs), 0, 0, 0, None
-                progress(Progress(*now, doing=rate, **counts))
+    try:
+        with redirect_stdout(sys.stderr), stops_raised():  # Ray prints messages about workers
+            for outcome in run(logs, place, prepare(place, how)):
+                found.append(outcome)
+                failed += outcome["state"] == "failed"
+                size += outcome["bytes"] * (outcome["state"] == "done")
+                if progress:
+                    rate = f"{size_text(int(size / max(time.monotonic() - begin, 1e-3)))}/s"
+                    counts = {"logs_done": len(found), "logs_failed": failed}
+                    now = outcome["log"], len(found) - 1, len(logs), 0, 0, 0, None
+                    progress(Progress(*now, doing=rate, **counts))
+    except KeyboardInterrupt as stop:
+        text = f"interrupted; {len(found)} of {len(logs)} logs are done; the same command goes on"
+        raise Interrupted(getattr(stop, "signal", signal.SIGINT), text) from None
     return sorted(found, key=lambda outcome: outcome["name"])
 
 
@@ -133,14 +141,15 @@ def _results(
     how = {"workers": max(1, int(resources["num_cpus"])), **how, "driven": True}
     remote = ray.remote(max_calls=0, max_retries=-1, **resources)(_task)
     slots = _slots(ray, resources)
-    waiting, running = deque(chunks(logs, slots)), []
+    waiting, running = deque(chunks(logs, slots)), set[Future[list[dict[str, Any]]]]()
     while waiting or running:
         while waiting and len(running) < max(_LEAST_WINDOW, _PER_SLOT * _slots(ray, resources)):
-            running.append(remote.remote(waiting.popleft(), place, how))
-        done, running = ray.wait(running, timeout=10.0)
+            running.add(remote.remote(waiting.popleft(), place, how).future())
+        # A signal interrupts this wait, but not one inside of Ray.
+        done, running = wait(running, timeout=10.0, return_when=FIRST_COMPLETED)
         for one in done:
             try:
-                yield from ray.get(one)
+                yield from one.result()
             except ray.exceptions.RayTaskError as error:
                 cause = error.cause
                 raise cause if isinstance(cause, JaxdetError) else error from None

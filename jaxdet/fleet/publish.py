@@ -21,11 +21,12 @@ import secrets
 import time
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxdet.errors import InputError
+from jaxdet.errors import InputError, JaxdetError
 from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, locked, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
 from jaxdet.results.durable import finish, publish, remove, writing
@@ -95,7 +96,8 @@ class _Results:
 
     def end(self, key: str) -> None:
         """Remove the note of an attempt that ended, with results or without."""
-        self.place.delete([key])
+        with suppress(JaxdetError):
+            self.place.delete([key])
 
     def deaths(self, target: Target, command: str | None = None) -> tuple[int, int]:
         """Return the number of attempts whose process was killed, and of those lost with a machine.

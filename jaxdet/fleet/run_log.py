@@ -5,8 +5,8 @@ import secrets
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import suppress
-from functools import cache
+from contextlib import ExitStack
+from functools import cache, partial
 from itertools import zip_longest
 from pathlib import Path
 from threading import Event
@@ -30,6 +30,7 @@ from jaxdet.results.durable import remove
 from jaxdet.results.json_files import read_json
 from jaxdet.results.layout import FAILED, RUN, SUMMARY, TRACKS, is_complete
 from jaxdet.results.summary import problems
+from jaxdet.signals import called_at_end
 
 
 def run_log(log: Log, place: str, how: Mapping[str, Any]) -> dict[str, Any]:
@@ -168,7 +169,8 @@ class _Job:
         attempt, begin = secrets.token_hex(6), time.monotonic()
         key = self.results.begin(self.target, attempt, self.how["command"])
         staged = self.results.stage(attempt, self.spool.path)
-        try:
+        with called_at_end(partial(self.results.end, key)), ExitStack() as last:
+            last.callback(remove, staged)
             self.spool.witness(self.results.place.url, key)
             found = self._run(staged)
             found["run_s"] = round(time.monotonic() - begin, 3)
@@ -181,10 +183,6 @@ class _Job:
                 found["error"] = "another run published results of another input meanwhile"
             found["publish_s"] = round(time.monotonic() - begin - found["run_s"], 3)
             return self._end(state, **found)
-        finally:
-            remove(staged)
-            with suppress(JaxdetError):
-                self.results.end(key)
 
     def _run(self, staged: Path) -> dict[str, Any]:
         """Run the engine and return entries of the outcome; ``error`` has errors of the log."""

@@ -2,8 +2,10 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -270,7 +272,9 @@ def test_an_interrupted_local_run_keeps_the_run_json_of_simultaneous_shares(tmp_
 
 KILLED = """
 import sys
+from jaxdet.signals import guard_process
 from tests.fleet.stub import install
+guard_process()
 install()
 from jaxdet.fleet import run_fleet
 how = {"spool": sys.argv[3], "update": "--update" in sys.argv}
@@ -293,6 +297,21 @@ def test_a_log_that_kills_three_processes_is_recorded_as_failed(engine, how, tmp
     assert failure["attempts"] == 3
     assert computed(engine, "a") == ["a"] * 3 and left(how) == []
     assert os.listdir(results / ".fleet/staged") == []
+
+
+def test_an_attempt_that_a_signal_ends_does_not_count_as_killed(engine, how, tmp_path):
+    """The guard ends the process, as a signal can't interrupt the stub."""
+    logs, results = tmp_path / "logs", tmp_path / "results"
+    logs.mkdir()
+    (logs / "a.mcap").write_text("sleep=60")
+    command = [sys.executable, "-c", KILLED, str(logs), str(results), how["spool"]]
+    with subprocess.Popen(command) as run:
+        while not computed(engine):
+            time.sleep(0.05)
+        run.terminate()
+    assert run.returncode == 128 + signal.SIGTERM
+    assert [*(results / ".fleet").glob("a/attempts/*")]
+    assert not [*(results / ".fleet").glob("a/attempts/*/*")]
 
 
 def test_results_are_kept_if_the_changed_log_kills_three_processes(engine, how, tmp_path):
