@@ -3,6 +3,7 @@
 ``jaxdet run`` calls this module if ``--on``, ``--share`` or an address of a bucket is given.
 """
 
+import logging
 import os
 import signal
 import sys
@@ -12,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import redirect_stdout
 from functools import partial
+from math import inf
 from os import PathLike
 from typing import Any
 
@@ -23,6 +25,7 @@ from jaxdet.fleet.run_log import prepare, run_logs
 from jaxdet.memory import size_text
 from jaxdet.signals import stops_raised
 
+LOGGER = logging.getLogger("jaxdet")
 _PER_SLOT = 4
 """Ray tasks in flight per slot: no slot waits for the driver, and autoscalers see demand."""
 _LEAST_WINDOW = 32
@@ -140,11 +143,15 @@ def _results(
     resources = wanted or _of_a_node(ray.nodes())
     how = {"workers": max(1, int(resources["num_cpus"])), **how, "driven": True}
     remote = ray.remote(max_calls=0, max_retries=-1, **resources)(_task)
-    slots = _slots(ray, resources)
+    slots = _slots(ray.nodes(), resources)
+    if not slots:
+        wants = ", ".join(f"{name}={number:g}" for name, number in resources.items())
+        LOGGER.warning("no node of the cluster has %s; waiting for one", wants)
     waiting, running = deque(chunks(logs, slots)), set[Future[list[dict[str, Any]]]]()
     while waiting or running:
-        while waiting and len(running) < max(_LEAST_WINDOW, _PER_SLOT * _slots(ray, resources)):
+        while waiting and len(running) < max(_LEAST_WINDOW, _PER_SLOT * slots):
             running.add(remote.remote(waiting.popleft(), place, how).future())
+        slots = _slots(ray.nodes(), resources)
         # A signal interrupts this wait, but not one inside of Ray.
         done, running = wait(running, timeout=10.0, return_when=FIRST_COMPLETED)
         for one in done:
@@ -183,7 +190,9 @@ def _resources(where: str) -> dict[str, float]:
         found = {name: float(number) for name, number in pairs}
     except ValueError:
         found = {"": 0.0}
-    if engine != "ray" or not {*found} <= {"num_cpus", "num_gpus"}:
+    least = {"num_cpus": 1e-4, "num_gpus": 0.0}
+    fit = all(least.get(name, inf) <= number < inf for name, number in found.items())
+    if engine != "ray" or not fit:
         remedy = "give --on ray, or --on ray:num_cpus=16,num_gpus=1 for instance"
         raise ConfigError(f"--on {where} is not supported", remedy=remedy)
     return {"num_cpus": 1.0, **found} if found else {}
@@ -198,8 +207,11 @@ def _of_a_node(nodes: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     return {"num_cpus": min(node["CPU"] for node in chosen), "num_gpus": gpus}
 
 
-def _slots(ray: Any, resources: Mapping[str, float]) -> int:
-    """Return the number of tasks that the cluster can run at a time."""
-    total = ray.cluster_resources()
+def _slots(nodes: Sequence[Mapping[str, Any]], resources: Mapping[str, float]) -> int:
+    """Return the number of tasks that nodes can run at a time."""
     names = {"CPU": resources["num_cpus"], "GPU": resources.get("num_gpus", 0.0)}
-    return int(min(total.get(name, 0.0) // each for name, each in names.items() if each))
+    wanted = {name: each for name, each in names.items() if each}
+    alive = [node["Resources"] for node in nodes if node["Alive"]]
+    return sum(
+        int(min(has.get(name, 0.0) // each for name, each in wanted.items())) for has in alive
+    )

@@ -15,7 +15,7 @@ from jaxdet.engine import Progress
 from jaxdet.errors import ConfigError, Interrupted, OutputError
 from jaxdet.fleet import list_logs, prepare, result_files, run_fleet, run_log, run_logs, spool
 from jaxdet.fleet import place as places
-from jaxdet.fleet.command import _of_a_node, _resources, chunks
+from jaxdet.fleet.command import _of_a_node, _resources, _slots, chunks
 from jaxdet.fleet.place import Bucket, is_url, open_place
 from jaxdet.sim import SimConfig, write_log
 from tests.fleet.stub import check_complete, check_results, computed
@@ -360,11 +360,16 @@ def test_tasks_request_the_resources_of_the_smallest_node():
     assert _of_a_node(nodes) == {"num_cpus": 4.0, "num_gpus": 0.0}
     nodes.append({"Alive": True, "Resources": {"CPU": 16.0, "GPU": 2.0}})
     assert _of_a_node(nodes) == {"num_cpus": 16.0, "num_gpus": 2.0}
+    slots = [_slots(nodes, {"num_cpus": cpus}) for cpus in (1, 4, 5, 17)]
+    assert slots == [28, 7, 4, 0] and _slots(nodes, {"num_cpus": 8, "num_gpus": 1}) == 2
     assert _resources("ray") == {}
     assert _resources("ray:num_cpus=16,num_gpus=1") == {"num_cpus": 16.0, "num_gpus": 1.0}
-    for wrong in ("dask", "ray:x=1", "ray:num_cpus", "ray:num_cpus=a"):
+    wrong = (
+        "dask ray:x=1 ray:num_cpus ray:num_cpus=a ray:num_cpus=0 ray:num_gpus=-1 ray:num_cpus=nan"
+    )
+    for where in wrong.split():
         with pytest.raises(ConfigError):
-            _resources(wrong)
+            _resources(where)
 
 
 def test_a_log_missing_on_this_machine_is_not_recorded_as_failed(engine, how, tmp_path):
