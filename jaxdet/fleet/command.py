@@ -87,7 +87,10 @@ def run_fleet(
                     now = outcome["log"], len(found) - 1, len(logs), 0, 0, 0, None
                     progress(Progress(*now, doing=rate, **counts))
     except KeyboardInterrupt as stop:
-        text = f"interrupted; {len(found)} of {len(logs)} logs are done; the same command goes on"
+        but = " without --overwrite" if how.get("overwrite") else ""
+        text = (
+            f"interrupted; {len(found)} of {len(logs)} logs are done; the same command{but} goes on"
+        )
         raise Interrupted(getattr(stop, "signal", signal.SIGINT), text) from None
     return sorted(found, key=lambda outcome: outcome["name"])
 
