@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 from jaxdet.errors import InputError, JaxdetError
 from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, locked, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
-from jaxdet.results.durable import finish, publish, remove, writing
-from jaxdet.results.layout import FAILED, FLEET, MANIFEST, RUN, SUMMARY
+from jaxdet.results.durable import finish, publish, remove, write_whole, writing
+from jaxdet.results.layout import FAILED, FLEET, MANIFEST, REPORT, RUN, SUMMARY
 from jaxdet.results.record import digest
 
 CURRENT = "current.json"
@@ -182,9 +182,11 @@ class BucketResults(_Results):
         state = next((state for state, key in states if key in current), "new")
         return Standing(state, current, kept)
 
-    def stage(self, attempt: str, spool: Path) -> Path:
-        """Return the path at which an attempt makes its results folder."""
-        return spool / "results"
+    def stage(self, attempt: str, spool: Path, name: str = "results") -> Path:
+        """Return the path at which an attempt makes its results folder; its parent is new."""
+        with writing(spool):
+            (spool / "new").mkdir(parents=True, exist_ok=True)
+        return spool / "new" / name
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
         """Publish a complete folder as the results of a log.
@@ -216,8 +218,23 @@ class BucketResults(_Results):
             self.place.delete(keys)
         return state
 
-    def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
-        """Publish the reason why a log has no results, unless results were published meanwhile."""
+    def fail(
+        self,
+        target: Target,
+        failure: Mapping[str, Any],
+        seen: Standing,
+        staged: Path | None = None,
+    ) -> None:
+        """Publish the reason why a log has no results, unless results were published meanwhile.
+
+        Args:
+            target: Log and version.
+            failure: Content of ``failed.json``.
+            seen: State of the log's results when the attempt began.
+            staged: Folder that the attempt made, with reports of crashes.
+        """
+        for report in staged.glob(f"*{REPORT}") if staged else ():
+            self.place.put(f"{target.name}/{report.name}", report)
         self._point(target, {"failure": failure}, seen)
 
     def reopen(self, target: Target, seen: Standing) -> None:
@@ -277,14 +294,14 @@ class FolderResults(_Results):
                 return Standing(state if same else "other", current, kept)
         return Standing("new")
 
-    def stage(self, attempt: str, spool: Path) -> Path:
-        parent = self.root / FLEET / "staged"
-        with writing(parent):
-            parent.mkdir(parents=True, exist_ok=True)
-            for left in parent.iterdir():
+    def stage(self, attempt: str, spool: Path, name: str = "results") -> Path:
+        new = self.root / FLEET / "staged" / f"{process()}-{attempt}"
+        with writing(new):
+            new.mkdir(parents=True, exist_ok=True)
+            for left in new.parent.iterdir():
                 if is_dead(left.name):
                     remove(left)
-        return parent / f"{process()}-{attempt}"
+        return new / name
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
         return self._place(target, staged, seen)
@@ -295,11 +312,17 @@ class FolderResults(_Results):
     def folder(self, name: str) -> str:
         return name
 
-    def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
-        staged = self.stage(f"failed-{secrets.token_hex(4)}", Path())
+    def fail(
+        self,
+        target: Target,
+        failure: Mapping[str, Any],
+        seen: Standing,
+        staged: Path | None = None,
+    ) -> None:
+        staged = staged or self.stage(f"failed-{secrets.token_hex(4)}", Path())
         with writing(staged):
-            staged.mkdir()
-            (staged / FAILED).write_bytes(_bytes(failure))
+            staged.mkdir(exist_ok=True)
+        write_whole(staged / FAILED, _bytes(failure))
         self._place(target, staged, seen)
 
     def reopen(self, target: Target, seen: Standing) -> None:
@@ -325,7 +348,7 @@ class FolderResults(_Results):
             with locked(self.root):
                 publish(staged, self.root, target.name, is_there)
         finally:
-            remove(staged)
+            remove(staged.parent)
         return state
 
 

@@ -29,7 +29,7 @@ from jaxdet.io.splits import METADATA
 from jaxdet.results.durable import remove
 from jaxdet.results.json_files import read_json
 from jaxdet.results.layout import FAILED, RUN, SUMMARY, TRACKS, is_complete
-from jaxdet.results.summary import problems
+from jaxdet.results.summary import LogSummary, failure_record, problems
 from jaxdet.signals import called_at_end
 
 
@@ -102,7 +102,7 @@ class _Job:
         self.outcome: dict[str, Any] | None = None
         self.spool: Spool | None = None
         self.paths: list[Path] = []
-        self.held, self.fetch_s = 0, 0.0
+        self.held, self.attempts, self.fetch_s = 0, 0, 0.0
 
     def close(self) -> None:
         """Remove the log from local disk."""
@@ -156,6 +156,7 @@ class _Job:
             if not how.get("update") or failure.get("command") == how["command"]:
                 self._end("failed", error=failure["reason"])
                 return False
+            self.attempts = failure.get("attempts", 0)
             self.results.reopen(self.target, seen)
         killed, lost = self._deaths()
         if killed >= MOST_KILLED or killed + lost >= MOST_LOST:
@@ -168,9 +169,9 @@ class _Job:
         assert self.spool
         attempt, begin = secrets.token_hex(6), time.monotonic()
         key = self.results.begin(self.target, attempt, self.how["command"])
-        staged = self.results.stage(attempt, self.spool.path)
+        staged = self.results.stage(attempt, self.spool.path, self.target.name)
         with called_at_end(partial(self.results.end, key)), ExitStack() as last:
-            last.callback(remove, staged)
+            last.callback(remove, staged.parent)
             self.spool.witness(self.results.place.url, key)
             found = self._run(staged)
             found["run_s"] = round(time.monotonic() - begin, 3)
@@ -226,23 +227,21 @@ class _Job:
 
     def _fail(self, error: str, staged: Path | None = None, **values: Any) -> dict[str, Any]:
         """Publish the reason why the log has no results: ``failed.json``, if ``staged`` has one."""
-        path = staged / FAILED if staged else None
-        if path and path.exists():
-            content = json.loads(self._renamed(path.read_text("utf-8"), self.paths))
+        if staged and (staged / FAILED).exists():
+            content = json.loads(self._renamed((staged / FAILED).read_text("utf-8"), self.paths))
         else:
             from jaxdet.results.manifest import fingerprint
-            from jaxdet.results.summary import LogSummary
 
             inputs = [fingerprint(Path(file["key"])) for file in self.log["files"]]
-            entry = {**LogSummary(self.log["log"], ()).to_dict(), "error": error}
-            content = {"reason": error, "log": self.log["log"], "logs": [entry], "inputs": inputs}
             run = self.how["record"].removesuffix(self.how["overwrites"])
-            content |= {"run": run, **self._about()}
-        noted = {"attempts": max(1, sum(self._deaths())), "command": self.how["command"]}
+            about = {"log": self.log["log"], "inputs": inputs, "run": run, **self._about()}
+            content = failure_record(about, [LogSummary(self.log["log"], (), error=error)])
+        content["attempts"] = self.attempts + max(1, sum(self._deaths()))
+        content["command"] = self.how["command"]
         if self.seen.kept:
-            self.results.note_failure(self.target, {**content, **noted})
+            self.results.note_failure(self.target, content)
         else:
-            self.results.fail(self.target, {**content, **noted}, self.seen)
+            self.results.fail(self.target, content, self.seen, staged)
         return self._end("failed", error=error, **values)
 
     def _deaths(self) -> tuple[int, int]:
@@ -279,7 +278,7 @@ class _Job:
         if not self.how.get("tracks") or TRACKS in results.files(name):
             return None
         spool = Spool(self.how.get("spool"))
-        staged = results.stage(attempt, spool.path)
+        staged = results.stage(attempt, spool.path, name)
         try:
             error = _link(download(results.place.url, name, staged))
             if error is None:
@@ -288,7 +287,7 @@ class _Job:
         except InputError as error:  # another machine may have published results with tracks
             return None if TRACKS in results.files(name) else str(error)
         finally:
-            remove(staged)
+            remove(staged.parent)
             spool.close()
 
 

@@ -13,6 +13,7 @@ from collections import Counter
 from pathlib import Path
 
 from jaxdet.engine import runner
+from jaxdet.engine.process_log import write_failure
 from jaxdet.engine.runner import record_of
 from jaxdet.results.manifest import fingerprint
 from jaxdet.results.record import digest
@@ -53,6 +54,13 @@ def run_one(log_path, folder, how):
             time.sleep(float(number))
         if verb == "fail" and before >= int(number or 0):
             return {"error": "no depth", **_NONE}
+        if verb == "crash":
+            failed = LogSummary(how["name"], (), error=f"send {Path(folder).name}/report.txt")
+            Path(folder).mkdir()
+            Path(folder, "report.txt").write_text("traceback")
+            about = {"run": digest(record_of(how)), "inputs": list(map(fingerprint, paths))}
+            write_failure(Path(folder), {**about, **how["about"]}, [failed])
+            return {"error": failed.error, **_NONE}
         if verb == "bug":
             raise KeyError("bug")
     folder = Path(folder)

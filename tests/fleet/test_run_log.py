@@ -114,6 +114,23 @@ def test_a_camera_that_failed_does_not_fail_the_log(results, stores, engine, how
         assert table(results, tmp_path)
 
 
+def test_the_report_of_a_crash_is_published_and_attempts_are_counted(
+    results, stores, engine, how, put
+):
+    put(LOGS, a="crash")
+    for given in (how, how, {**how, "update": True}):
+        (outcome,) = run_fleet([LOGS], results, given)
+        assert (outcome["state"], outcome["error"]) == ("failed", "send a/report.txt")
+    place = open_place(results)
+    assert place.get("a/report.txt")[0] == b"traceback"
+    found = place.get("a/current.json" if is_url(results) else "a/failed.json")
+    content = json.loads(found[0])
+    assert content.get("failure", content)["attempts"] == 2
+    put(LOGS, a="a")
+    assert states(run_fleet([LOGS], results, {**how, "update": True})) == {"a": "done"}
+    assert place.get("a/report.txt") is None
+
+
 def test_lost_frames_are_reported_again_until_an_update(results, stores, engine, how, put):
     put(LOGS, a="lose")
     given = [how, how, {**how, "update": True}, how]
