@@ -30,6 +30,7 @@ from jaxdet.errors import InputError, JaxdetError
 from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, locked, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
 from jaxdet.results.durable import finish, publish, remove, write_whole, writing
+from jaxdet.results.json_files import leads_out
 from jaxdet.results.layout import FAILED, FLEET, MANIFEST, REPORT, RUN, SUMMARY
 from jaxdet.results.record import digest
 
@@ -150,8 +151,10 @@ class _Results:
         """
         own = self.folder(name)
         manifest = self._json(f"{own}/{MANIFEST}") if own else None
-        if not manifest or run not in ("", manifest["run"]):
+        if not manifest or run not in ("", manifest.get("run")):
             return {}
+        if any(map(leads_out, manifest["files"])):
+            raise InputError("was changed", path=f"{self.place.url}/{own}/{MANIFEST}")
         return {file: f"{own}/{file}" for file in (*manifest["files"], MANIFEST)}
 
     def summary(self, seen: Standing) -> dict[str, Any]:
@@ -160,7 +163,10 @@ class _Results:
 
     def _json(self, key: str) -> dict[str, Any] | None:
         found = self.place.get(key)
-        return json.loads(found[0]) if found else None
+        try:
+            return json.loads(found[0]) if found else None
+        except ValueError:
+            raise InputError("is not JSON", path=f"{self.place.url}/{key}") from None
 
 
 class BucketResults(_Results):
@@ -304,37 +310,6 @@ class FolderResults(_Results):
         return new / name
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
-        return self._place(target, staged, seen)
-
-    def logs(self) -> list[str]:
-        return sorted(path.parent.name for path in self.root.glob(f"*/{MANIFEST}"))
-
-    def folder(self, name: str) -> str:
-        return name
-
-    def fail(
-        self,
-        target: Target,
-        failure: Mapping[str, Any],
-        seen: Standing,
-        staged: Path | None = None,
-    ) -> None:
-        staged = staged or self.stage(f"failed-{secrets.token_hex(4)}", Path())
-        with writing(staged):
-            staged.mkdir(exist_ok=True)
-        write_whole(staged / FAILED, _bytes(failure))
-        self._place(target, staged, seen)
-
-    def reopen(self, target: Target, seen: Standing) -> None:
-        self.forget(target)
-        self.place.delete([f"{target.name}/{FAILED}"])
-
-    def _place(self, target: Target, staged: Path, seen: Standing) -> str:
-        """Move a folder to its final path, unless others published since ``seen`` was read.
-
-        Returns:
-            See :meth:`BucketResults.publish`.
-        """
         state = "done"
 
         def is_there() -> bool:
@@ -350,6 +325,30 @@ class FolderResults(_Results):
         finally:
             remove(staged.parent)
         return state
+
+    def logs(self) -> list[str]:
+        return sorted(path.parent.name for path in self.root.glob(f"*/{MANIFEST}"))
+
+    def folder(self, name: str) -> str:
+        return name
+
+    def fail(
+        self,
+        target: Target,
+        failure: Mapping[str, Any],
+        seen: Standing,
+        staged: Path | None = None,
+    ) -> None:
+        attempt = f"failed-{secrets.token_hex(4)}"
+        staged = staged or self.stage(attempt, Path())
+        with writing(staged):
+            staged.mkdir(exist_ok=True)
+        write_whole(staged / FAILED, _bytes(failure))
+        self.publish(target, attempt, staged, seen)
+
+    def reopen(self, target: Target, seen: Standing) -> None:
+        self.forget(target)
+        self.place.delete([f"{target.name}/{FAILED}"])
 
 
 Results = BucketResults | FolderResults
