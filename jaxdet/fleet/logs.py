@@ -14,7 +14,7 @@ from os import PathLike
 from pathlib import PurePath, PurePosixPath
 from typing import Any
 
-from jaxdet.errors import ConfigError, InputError
+from jaxdet.errors import ConfigError, InputError, printable
 from jaxdet.fleet.place import Entry, address, input_entry, is_url, open_place
 
 Log = dict[str, Any]
@@ -132,6 +132,7 @@ def _log(name: str, url: str, entries: Iterable[Entry]) -> Log:
     from jaxdet.results.names import log_name
 
     files = [entry._asdict() for entry in entries]
+    name = printable(name)
     return {"log": name, "name": log_name(name), "url": url, "files": files}
 
 

@@ -198,9 +198,8 @@ class Bucket:
         Raises:
             InputError: The file was removed or replaced since it was listed.
         """
-        with path.open("wb") as file, ThreadPoolExecutor(CONNECTIONS) as pool:
-            with writing(path):
-                os.truncate(file.fileno(), entry.size)
+        with writing(path), path.open("wb") as file, ThreadPoolExecutor(CONNECTIONS) as pool:
+            os.truncate(file.fileno(), entry.size)
 
             def copy(start: int) -> None:
                 if not stop.is_set():

@@ -1,6 +1,7 @@
 """Run of a log at an address: fetch it, run it, publish its results; for use by any scheduler."""
 
 import json
+import os
 import secrets
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +13,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError
+from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError, WorkerStartError
 from jaxdet.fleet.logs import Log, entries_of, size_of
 from jaxdet.fleet.place import Bucket, address, open_place, probe
 from jaxdet.fleet.publish import (
@@ -26,7 +27,7 @@ from jaxdet.fleet.publish import (
 )
 from jaxdet.fleet.spool import Spool, check_room, sweep
 from jaxdet.io.splits import METADATA
-from jaxdet.results.durable import remove
+from jaxdet.results.durable import remove, writing
 from jaxdet.results.json_files import read_json
 from jaxdet.results.layout import FAILED, RUN, SUMMARY, TRACKS, is_complete
 from jaxdet.results.summary import LogSummary, failure_record, problems
@@ -176,6 +177,8 @@ class _Job:
             found = self._run(staged)
             found["run_s"] = round(time.monotonic() - begin, 3)
             if not is_complete(staged):
+                if not all(path.exists() for path in self.paths):  # a later call tries again
+                    return self._end("failed", **found)
                 return self._fail(staged=staged, **found)
             if self.how.get("tracks"):
                 found = _joined(found, _link(staged))
@@ -193,8 +196,8 @@ class _Job:
         given["remarks"] = self.log.get("remarks")
         try:
             found = engine.run_one(list(map(str, self.paths)), staged, given)
-        except (ConfigError, OutputError):
-            raise
+        except (ConfigError, OutputError, WorkerStartError):
+            raise  # the log is not the cause
         except JaxdetError as error:
             return {"error": self._renamed(str(error), self.paths)}
         except Exception as error:
@@ -228,7 +231,8 @@ class _Job:
     def _fail(self, error: str, staged: Path | None = None, **values: Any) -> dict[str, Any]:
         """Publish the reason why the log has no results: ``failed.json``, if ``staged`` has one."""
         if staged and (staged / FAILED).exists():
-            content = json.loads(self._renamed((staged / FAILED).read_text("utf-8"), self.paths))
+            text = (staged / FAILED).read_text("utf-8")
+            content = json.loads(self._renamed(text, self.paths, in_json=True))
         else:
             from jaxdet.results.manifest import fingerprint
 
@@ -264,10 +268,11 @@ class _Job:
             ]
         return about
 
-    def _renamed(self, text: str, paths: Sequence[Path]) -> str:
+    def _renamed(self, text: str, paths: Sequence[Path], *, in_json: bool = False) -> str:
         """Replace the paths of the log's local copy in a text by addresses."""
         url = self.log["url"]
         origin = f"{url}/{self.log['files'][0]['key']}".rpartition("/")[0]
+        origin = json.dumps(origin, ensure_ascii=False)[1:-1] if in_json else origin
         for copy in {path.parent for path in paths if url}:
             text = text.replace(str(copy), origin)
         return text
@@ -291,6 +296,8 @@ class _Job:
             spool.close()
 
 
+_MOST_NAME = 255
+"""Maximum length of a file name [bytes]."""
 _OUTCOME = {"error": None, "frames": 0, "obstacles": 0, "lost": [], "warnings": []}
 _OUTCOME |= {"fetch_s": 0.0, "run_s": 0.0, "publish_s": 0.0}
 
@@ -324,7 +331,11 @@ def _fetch(log: Log, folder: Path, stop: Event) -> list[Path]:
     place = open_place(log["url"])
     assert isinstance(place, Bucket)
     paths = [folder / "log" / Path(entry.key).name for entry in entries]
-    paths[0].parent.mkdir()
+    if long := [path.name for path in paths if len(os.fsencode(path.name)) > _MOST_NAME]:
+        problem = f"a name of more than {_MOST_NAME} bytes can't be on local disk"
+        raise InputError(problem, path=f"{log['url']}/.../{long[0][:40]}...")
+    with writing(folder):
+        paths[0].parent.mkdir()
     for entry, path in zip(entries, paths, strict=True):
         place.fetch(entry, path, stop)
     return [path for path in paths if path.name != METADATA]

@@ -212,6 +212,25 @@ def test_splits_of_a_recording_are_fetched_together(stores, engine, how, tmp_pat
     check_results(RESULTS, "r--r", tmp_path)
 
 
+@pytest.mark.parametrize(
+    "key", ['a "b"/c\\d/x.mcap', "zero\u200bwidth/x.mcap", "n" * 300 + ".mcap"]
+)
+def test_odd_keys_of_logs_are_no_crash(key, stores, engine, how):
+    open_place(LOGS).put(key, b"crash")
+    (outcome,) = run_fleet([LOGS], RESULTS, how)
+    assert outcome["state"] == "failed" and outcome["log"].isprintable()
+    assert run_fleet([LOGS], RESULTS, how)[0]["error"] == outcome["error"]
+
+
+def test_a_spool_folder_of_another_user_is_refused(stores, engine, how, put, tmp_path):
+    put(LOGS, a="a")
+    (tmp_path / "other").mkdir()
+    base = tmp_path / f"jaxdet-spool-{os.getuid()}"
+    base.symlink_to(tmp_path / "other")
+    with pytest.raises(ConfigError, match="is a link, or belongs to another user"):
+        run_fleet([LOGS], RESULTS, {**how, "spool": str(tmp_path)})
+
+
 def test_the_next_log_is_fetched_during_a_run_within_the_limit_of_the_spool(
     stores, engine, how, put, monkeypatch
 ):
