@@ -27,6 +27,8 @@ STOPS = tuple(
 )
 GRACE_S = 1.5
 """Time that the guard gives a command to end by itself [s]."""
+END_S = 1.0
+"""Maximum time of a function of :func:`called_at_end` in a process that is ended [s]."""
 _RETRY = getattr(signal, "SIGALRM", None)
 _RETRY_S = 0.02
 _WAITS = {"threading", "multiprocessing.connection", "selectors", "queue", "subprocess"}
@@ -81,6 +83,20 @@ def stops_held_back() -> Iterator[None]:
             _handle(number)
 
 
+@contextmanager
+def called_at_end(action: Callable[[], object]) -> Iterator[None]:
+    """Call a function at the end of the block, also if a signal ends the process in it.
+
+    The guard calls the function while the block may still run, and gives it :data:`END_S`.
+    """
+    _at_end.append(action)
+    try:
+        yield
+    finally:
+        _at_end.remove(action)
+        action()
+
+
 def ignore_stops() -> None:
     """Ignore the signals of ``STOPS``, in a process that is ended by its parent."""
     for number in STOPS:
@@ -110,6 +126,7 @@ def end_guard() -> None:
 
 
 _done = threading.Event()
+_at_end: list[Callable[[], object]] = []
 
 
 def _watch(receives: int) -> None:
@@ -133,6 +150,10 @@ def _end(number: int) -> None:
         with suppress(Exception):  # the module may be in any state
             for child in processes.active_children():
                 child.kill()
+    for action in [*_at_end]:
+        last = threading.Thread(target=action, daemon=True)
+        last.start()
+        last.join(END_S)
     os._exit(128 + number)
 
 

@@ -58,6 +58,7 @@ def run_on_machines(
     """
     from jaxdet.cli.progress import reporting
     from jaxdet.fleet import run_fleet
+    from jaxdet.results.summary import failure
 
     how = {**how, **vars(options)}
     how["spool"] = str(fleet.spool) if fleet.spool else None
@@ -74,7 +75,8 @@ def run_on_machines(
         )
     wrong = [one for one in outcomes if one["error"] or one["lost"]]
     for one in wrong:
-        tell(f"jaxdet: error: {one['log']}: {one['error'] or '; '.join(map(str, one['lost']))}")
+        text = "; ".join([*filter(None, [one["error"]]), *one["lost"]])
+        tell(f"jaxdet: error: {failure({**one, 'error': text, 'paths': ()})}")
     if as_json:
         print(json.dumps({"logs": outcomes}, indent=2))
     elif not quiet:

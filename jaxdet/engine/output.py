@@ -12,7 +12,9 @@ from jaxdet.errors import ConfigError, InputError, ResultsError
 from jaxdet.results.durable import finish, publish, remove, write_whole, writing
 from jaxdet.results.json_files import entries_of, read_json, to_json
 from jaxdet.results.layout import (
+    ASIDE,
     FAILED,
+    FLEET,
     FRAMES,
     MANIFEST,
     RUN,
@@ -205,16 +207,17 @@ class OutputFolder:
         raise ConfigError(problem, path=str(path), remedy="move it or give another --output")
 
     def _clear(self) -> None:
-        """Remove files that killed runs have left."""
+        """Remove files that killed runs have left; ``finish`` removes folders moved aside."""
         for path in self._working.iterdir():
-            if path.name != "lock":
+            if path.name != "lock" and not path.name.startswith(ASIDE):
                 remove(path)
 
     def _leave(self) -> None:
         with stops_held_back():
             with suppress(OSError):
                 remove(self.staging)
-                if not log_folders(self.output):
+                shared = (self.output / FLEET).exists()  # other processes rely on run.json
+                if not (shared or log_folders(self.output)):
                     (self.output / RUN).unlink(missing_ok=True)
             self._lock.release()
             with suppress(OSError):

@@ -35,11 +35,11 @@ from jaxdet.memory import size_text
 from jaxdet.render import draw_map, write_png
 from jaxdet.results.durable import flush_folder, remove, writing
 from jaxdet.results.json_files import write_json
-from jaxdet.results.layout import CONFIG, FAILED, SUMMARY
+from jaxdet.results.layout import CONFIG, FAILED, REPORT, SUMMARY
 from jaxdet.results.manifest import fingerprint, write_manifest
 from jaxdet.results.names import camera_name, export_name
 from jaxdet.results.occupancy import MAX_CELLS, OccupancyMap, save_map
-from jaxdet.results.summary import LogSummary, Summary
+from jaxdet.results.summary import LogSummary, Summary, failure_record
 from jaxdet.results.versions import crash_report
 from jaxdet.results.writer import TableWriter
 
@@ -51,8 +51,6 @@ if TYPE_CHECKING:
 _CELL_BYTES = 28
 """Memory per cell while a map is made and drawn: four numbers of 4 bytes, copies of some of them,
 and a pixel [bytes]."""
-REPORT = "report.txt"
-"""Name of the crash report in the folder of a log that failed because of a bug in jaxdet."""
 
 
 def process_log(
@@ -118,9 +116,7 @@ def process_log(
 
 def write_failure(folder: Path, about: dict[str, Any], logs: list[LogSummary]) -> None:
     """Write ``failed.json`` with the manifest's entries ``about`` and the cameras' summaries."""
-    reason = "; ".join(log.error for log in logs if log.error)
-    content = {"reason": reason, "attempts": 1, **about, "logs": [log.to_dict() for log in logs]}
-    write_json(folder / FAILED, content)
+    write_json(folder / FAILED, failure_record(about, logs))
 
 
 def _write_results(

@@ -185,19 +185,22 @@ def _check_outside(output: Path, logs: Sequence[LogFiles]) -> None:
             raise ConfigError(problem, path=str(output), remedy=remedy)
 
 
-def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[str, Any]:
+def run_one(
+    log_path: str | Sequence[str], folder: str | Path, how: Mapping[str, Any]
+) -> dict[str, Any]:
     """Find the obstacles of one log and write its results into a new folder.
 
     Worker processes and compiled programs stay for the next call in this process.
 
     Args:
-        log_path: File of the log, or folder of the files of one recording.
+        log_path: File of the log, all files of one recording, or the folder that has them.
         folder: New folder for the results; its parent exists. ``manifest.json`` is written last.
         how: Plain values, all optional: fields of :class:`jaxdet.engine.RunOptions`, ``name`` (the
             log's name; by default from its path), ``preset``, ``config`` (sections of the
-            configuration as in ``config.json``), ``log`` (fields of :class:`jaxdet.LogOptions`)
-            and ``about`` (more entries of the manifest, for instance ``fetched``, the address of
-            the log's files). Other keys are ignored.
+            configuration as in ``config.json``), ``log`` (fields of :class:`jaxdet.LogOptions`),
+            ``about`` (more entries of the manifest, for instance ``fetched``, the address of the
+            log's files) and ``remarks`` (the fields ``note`` and ``about`` of
+            :class:`jaxdet.io.LogFiles`). Other keys are ignored.
 
     Returns:
         ``status`` (``done`` or ``failed``), ``name``, ``frames``, ``obstacles``, ``seconds``,
@@ -211,14 +214,16 @@ def run_one(log_path: str, folder: str | Path, how: Mapping[str, Any]) -> dict[s
     """
     settings = _settings(how)
     runner = _runner(settings.options.backend)
+    paths = [log_path] if isinstance(log_path, str) else log_path
     try:
-        logs = find_logs([log_path])
+        logs = find_logs(paths)
         if len(logs) != 1:
-            raise InputError(f"holds {len(logs)} logs, not one", path=log_path)
+            raise InputError(f"holds {len(logs)} logs, not one", path=paths[0])
     except InputError as error:
-        found = {"name": how.get("name") or log_path, "frames": 0, "obstacles": 0, "seconds": 0.0}
+        found = {"name": how.get("name") or paths[0], "frames": 0, "obstacles": 0, "seconds": 0.0}
         return {"status": "failed", **found, "warnings": [], "lost": [], "error": str(error)}
-    given = logs[0]._replace(name=how.get("name") or logs[0].name)
+    name = how.get("name") or logs[0].name
+    given = logs[0]._replace(**{**(how.get("remarks") or {}), "name": name})
     summary = runner.run_alone(settings, given, Path(folder))
     errors = "; ".join(log.error for log in summary.failed if log.error)
     return {

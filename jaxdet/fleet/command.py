@@ -3,23 +3,29 @@
 ``jaxdet run`` calls this module if ``--on``, ``--share`` or an address of a bucket is given.
 """
 
+import logging
 import os
+import signal
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import redirect_stdout
 from functools import partial
+from math import inf
 from os import PathLike
 from typing import Any
 
 from jaxdet.engine.settings import Progress, ProgressCallback
-from jaxdet.errors import ConfigError, JaxdetError, WorkerError
+from jaxdet.errors import ConfigError, Interrupted, JaxdetError, WorkerError
 from jaxdet.fleet.logs import Log, list_logs, share_of, size_of
 from jaxdet.fleet.place import address
 from jaxdet.fleet.run_log import prepare, run_logs
 from jaxdet.memory import size_text
+from jaxdet.signals import stops_raised
 
+LOGGER = logging.getLogger("jaxdet")
 _PER_SLOT = 4
 """Ray tasks in flight per slot: no slot waits for the driver, and autoscalers see demand."""
 _LEAST_WINDOW = 32
@@ -58,6 +64,7 @@ def run_fleet(
         ConfigError: An argument is wrong.
         InputError: There are no logs.
         OutputError: A disk or a bucket can't be used.
+        Interrupted: A signal, for instance Ctrl-C, ended the run; logs that are done are kept.
     """
     if share and how.get("overwrite"):
         remedy = "name another --output, or run one log with --overwrite before the shares start"
@@ -68,16 +75,23 @@ def run_fleet(
     logs.sort(key=size_of, reverse=True)
     run: Callable[..., Iterator[dict[str, Any]]] = partial(run_on_ray, where=on) if on else run_logs
     found, failed, size, begin = [], 0, 0, time.monotonic()
-    with redirect_stdout(sys.stderr):  # Ray's messages about workers
-        for outcome in run(logs, place, prepare(place, how)):
-            found.append(outcome)
-            failed += outcome["state"] == "failed"
-            size += outcome["bytes"] * (outcome["state"] == "done")
-            if progress:
-                rate = f"{size_text(int(size / max(time.monotonic() - begin, 1e-3)))}/s"
-                counts = {"logs_done": len(found), "logs_failed": failed}
-                now = outcome["log"], len(found) - 1, len(logs), 0, 0, 0, None
-                progress(Progress(*now, doing=rate, **counts))
+    try:
+        with redirect_stdout(sys.stderr), stops_raised():  # Ray prints messages about workers
+            for outcome in run(logs, place, prepare(place, how)):
+                found.append(outcome)
+                failed += outcome["state"] == "failed"
+                size += outcome["bytes"] * (outcome["state"] == "done")
+                if progress:
+                    rate = f"{size_text(int(size / max(time.monotonic() - begin, 1e-3)))}/s"
+                    counts = {"logs_done": len(found), "logs_failed": failed}
+                    now = outcome["log"], len(found) - 1, len(logs), 0, 0, 0, None
+                    progress(Progress(*now, doing=rate, **counts))
+    except KeyboardInterrupt as stop:
+        but = " without --overwrite" if how.get("overwrite") else ""
+        text = (
+            f"interrupted; {len(found)} of {len(logs)} logs are done; the same command{but} goes on"
+        )
+        raise Interrupted(getattr(stop, "signal", signal.SIGINT), text) from None
     return sorted(found, key=lambda outcome: outcome["name"])
 
 
@@ -132,15 +146,20 @@ def _results(
     resources = wanted or _of_a_node(ray.nodes())
     how = {"workers": max(1, int(resources["num_cpus"])), **how, "driven": True}
     remote = ray.remote(max_calls=0, max_retries=-1, **resources)(_task)
-    slots = _slots(ray, resources)
-    waiting, running = deque(chunks(logs, slots)), []
+    slots = _slots(ray.nodes(), resources)
+    if not slots:
+        wants = ", ".join(f"{name}={number:g}" for name, number in resources.items())
+        LOGGER.warning("no node of the cluster has %s; waiting for one", wants)
+    waiting, running = deque(chunks(logs, slots)), set[Future[list[dict[str, Any]]]]()
     while waiting or running:
-        while waiting and len(running) < max(_LEAST_WINDOW, _PER_SLOT * _slots(ray, resources)):
-            running.append(remote.remote(waiting.popleft(), place, how))
-        done, running = ray.wait(running, timeout=10.0)
+        while waiting and len(running) < max(_LEAST_WINDOW, _PER_SLOT * slots):
+            running.add(remote.remote(waiting.popleft(), place, how).future())
+        slots = _slots(ray.nodes(), resources)
+        # A signal interrupts this wait, but not one inside of Ray.
+        done, running = wait(running, timeout=10.0, return_when=FIRST_COMPLETED)
         for one in done:
             try:
-                yield from ray.get(one)
+                yield from one.result()
             except ray.exceptions.RayTaskError as error:
                 cause = error.cause
                 raise cause if isinstance(cause, JaxdetError) else error from None
@@ -174,7 +193,9 @@ def _resources(where: str) -> dict[str, float]:
         found = {name: float(number) for name, number in pairs}
     except ValueError:
         found = {"": 0.0}
-    if engine != "ray" or not {*found} <= {"num_cpus", "num_gpus"}:
+    least = {"num_cpus": 1e-4, "num_gpus": 0.0}
+    fit = all(least.get(name, inf) <= number < inf for name, number in found.items())
+    if engine != "ray" or not fit:
         remedy = "give --on ray, or --on ray:num_cpus=16,num_gpus=1 for instance"
         raise ConfigError(f"--on {where} is not supported", remedy=remedy)
     return {"num_cpus": 1.0, **found} if found else {}
@@ -189,8 +210,11 @@ def _of_a_node(nodes: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     return {"num_cpus": min(node["CPU"] for node in chosen), "num_gpus": gpus}
 
 
-def _slots(ray: Any, resources: Mapping[str, float]) -> int:
-    """Return the number of tasks that the cluster can run at a time."""
-    total = ray.cluster_resources()
+def _slots(nodes: Sequence[Mapping[str, Any]], resources: Mapping[str, float]) -> int:
+    """Return the number of tasks that nodes can run at a time."""
     names = {"CPU": resources["num_cpus"], "GPU": resources.get("num_gpus", 0.0)}
-    return int(min(total.get(name, 0.0) // each for name, each in names.items() if each))
+    wanted = {name: each for name, each in names.items() if each}
+    alive = [node["Resources"] for node in nodes if node["Alive"]]
+    return sum(
+        int(min(has.get(name, 0.0) // each for name, each in wanted.items())) for has in alive
+    )

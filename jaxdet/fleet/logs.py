@@ -2,8 +2,8 @@
 
 ``{"log": "monday/drive_1", "name": "monday--drive_1", "url": "s3://bucket/logs", "files": [...]}``:
 ``log`` is the log's name in tables, ``name`` the name of its folder of results; ``url`` is empty
-for local logs. Each of ``files`` has a ``key`` (for local logs the path), a ``size``, and a
-``tag``, which identifies the version of the file that was listed.
+for local logs. A log may have ``remarks`` on its files. Each of ``files`` has a ``key`` (for
+local logs the path), a ``size``, and a ``tag``, which identifies the version that was listed.
 """
 
 import hashlib
@@ -14,7 +14,7 @@ from os import PathLike
 from pathlib import PurePath, PurePosixPath
 from typing import Any
 
-from jaxdet.errors import ConfigError, InputError
+from jaxdet.errors import ConfigError, InputError, printable
 from jaxdet.fleet.place import Entry, address, input_entry, is_url, open_place
 
 Log = dict[str, Any]
@@ -86,6 +86,7 @@ def _digest(name: str) -> int:
 
 def _in_bucket(url: str, join: bool) -> list[Log]:
     from jaxdet.io.files import listed_recordings, recording_name
+    from jaxdet.io.folders.recording import APPLE_DOUBLE
     from jaxdet.io.splits import METADATA, listed_in
 
     place = open_place(url)
@@ -97,9 +98,10 @@ def _in_bucket(url: str, join: bool) -> list[Log]:
     listed: dict[PurePath, frozenset[str]] = {
         folder: listed_in(found[0]) for folder, found in contents if found
     }
-    seen = [path for path in entries if not any(part.startswith(".") for part in path.parts)]
+    seen = [path for path in entries if not path.name.startswith(APPLE_DOUBLE)]
+    groups = listed_recordings(seen, listed)
     logs = []
-    for paths in listed_recordings(seen, listed):
+    for paths in groups:
         joined, folder = len(paths) > 1, paths[0].parent
         name = folder / recording_name(paths[0], joined=joined)
         files = [*paths, folder / METADATA] if joined else paths
@@ -107,6 +109,10 @@ def _in_bucket(url: str, join: bool) -> list[Log]:
     if not logs:
         remedy = "name a prefix of MCAP, .db3 or .bag files; folders of images must be local"
         raise InputError("no logs found", path=url, remedy=remedy)
+    left = [path for path in {*seen}.difference(*groups) if listed_recordings([path], {})]
+    why = "is left out: the same recording exists in another format"
+    note = "; ".join(f"{path} {why}" for path in sorted(left))
+    logs[0]["remarks"] = {"note": note, "about": ""}
     return logs
 
 
@@ -126,6 +132,7 @@ def _log(name: str, url: str, entries: Iterable[Entry]) -> Log:
     from jaxdet.results.names import log_name
 
     files = [entry._asdict() for entry in entries]
+    name = printable(name)
     return {"log": name, "name": log_name(name), "url": url, "files": files}
 
 
@@ -133,7 +140,9 @@ def _local(paths: Sequence[str], join: bool) -> list[Log]:
     from jaxdet.io import find_logs
     from jaxdet.results.manifest import fingerprint
 
-    return [
-        _log(log.name, "", [input_entry(fingerprint(path.absolute())) for path in log.paths])
-        for log in find_logs(paths, join=join)
-    ]
+    logs = []
+    for found in find_logs(paths, join=join):
+        files = [input_entry(fingerprint(path.absolute())) for path in found.paths]
+        remarks = {"note": found.note, "about": found.about}
+        logs.append({**_log(found.name, "", files), "remarks": remarks})
+    return logs

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 from jaxdet.errors import ConfigError, InputError, OutputError
 from jaxdet.results.durable import write_whole, writing
+from jaxdet.results.layout import FLEET
 
 RANGE_BYTES = 64 << 20
 """Number of bytes per request of a fetch."""
@@ -33,6 +34,9 @@ _MULTIPART_BYTES = 1 << 30
 _URL = re.compile(r"(s3|gs|az):/+(.*)", re.DOTALL | re.IGNORECASE)
 _SECRET = re.compile(r"(?<=:/)(/*)(?:[^/\s@]*@|[^/\s]*:\S*@)|[?#][^\s\"')]*")
 """User parts of addresses, whose passwords may contain slashes, and queries."""
+_RESPONSE = re.compile(r"(?:<\?xml[^>]*>\s*)?<Error>.*?(?:</Error>|$)", re.DOTALL)
+"""Error in a response of a store. It may name the key and what was signed with it."""
+_REASON = re.compile(r"<(?:Code|Message)>([^<]*)<")
 _REMEDY = "check the address, the keys in the environment, and who may read and write there"
 
 Tag = Mapping[str, str]
@@ -62,11 +66,14 @@ def input_entry(about: Mapping[str, Any]) -> Entry:
 
 
 def scrub(text: str) -> str:
-    """Remove possible credentials from an address or an error: user parts and queries.
+    """Remove possible credentials from an address or an error: user parts, queries, keys.
 
     >>> scrub("GET s3://key:secret@bucket/logs?sig=123 failed")
     'GET s3://bucket/logs failed'
+    >>> scrub("403: <Error><Code>AccessDenied</Code><AWSAccessKeyId>AKID</AWSAccessKeyId></Error>")
+    '403: AccessDenied'
     """
+    text = _RESPONSE.sub(lambda found: ": ".join(_REASON.findall(found[0])), text)
     return _SECRET.sub(r"\1", text)
 
 
@@ -114,7 +121,7 @@ def probe(place: "Place") -> None:
     Raises:
         ConfigError: The place ignores conditions, so two machines could both create a file.
     """
-    key = f".probe-{secrets.token_hex(8)}"
+    key = f"{FLEET}/probe-{secrets.token_hex(8)}"
     try:
         first, second, stale = place.create(key, b"1"), place.create(key, b"2"), True
         if found := place.get(key):
@@ -191,9 +198,8 @@ class Bucket:
         Raises:
             InputError: The file was removed or replaced since it was listed.
         """
-        with path.open("wb") as file, ThreadPoolExecutor(CONNECTIONS) as pool:
-            with writing(path):
-                os.truncate(file.fileno(), entry.size)
+        with writing(path), path.open("wb") as file, ThreadPoolExecutor(CONNECTIONS) as pool:
+            os.truncate(file.fileno(), entry.size)
 
             def copy(start: int) -> None:
                 if not stop.is_set():
@@ -243,7 +249,7 @@ class Bucket:
         try:
             yield
         except (BaseError, OSError, ValueError) as error:
-            text = scrub(str(error).partition("\n")[0])
+            text = scrub(str(error)).partition("\n")[0]
             path = f"{self.url}/{key}" if key else self.url
             raise OutputError(f"can't be used ({text})", path=path, remedy=_REMEDY) from None
 
@@ -262,7 +268,7 @@ def _store(url: str) -> Any:
     try:
         return from_url(url)
     except (BaseError, ValueError) as error:
-        text = scrub(str(error).partition("\n")[0])
+        text = scrub(str(error)).partition("\n")[0]
         raise ConfigError(f"can't be opened ({text})", path=url, remedy=_REMEDY) from None
 
 
@@ -303,16 +309,11 @@ class Folder:
         return True
 
     def swap(self, key: str, content: bytes, tag: Tag) -> bool:
-        with self._made(key) as path:
-            handle = os.open(path.parent, os.O_RDONLY)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX)
-                found = self.get(key)
-                if found is None or found[1] != tag:
-                    return False
-                write_whole(path, content)
-            finally:
-                os.close(handle)
+        with self._made(key) as path, locked(path.parent):
+            found = self.get(key)
+            if found is None or found[1] != tag:
+                return False
+            write_whole(path, content)
         return True
 
     def delete(self, keys: Iterable[str]) -> None:
@@ -326,6 +327,17 @@ class Folder:
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             yield path
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Lock a folder against other processes that lock it."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _tag(about: os.stat_result) -> Tag:

@@ -21,14 +21,18 @@ import secrets
 import time
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxdet.errors import InputError
-from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, open_place
+from jaxdet.errors import InputError, JaxdetError
+from jaxdet.fleet.place import Bucket, Entry, Folder, Place, input_entry, locked, open_place
 from jaxdet.fleet.spool import is_dead, process, testify
-from jaxdet.results.durable import finish, publish, remove, writing
-from jaxdet.results.layout import FAILED, FLEET, MANIFEST, SUMMARY
+from jaxdet.results.durable import finish, publish, remove, write_whole, writing
+from jaxdet.results.json_files import leads_out
+from jaxdet.results.layout import FAILED, FLEET, MANIFEST, REPORT, RUN, SUMMARY
+from jaxdet.results.record import digest
 
 CURRENT = "current.json"
 MOST_KILLED = 3
@@ -58,6 +62,9 @@ class Standing(NamedTuple):
     current: Mapping[str, Any] | None = None
     """Content of ``current.json``: ``version``, ``record``, and ``attempt`` or ``failure``. In a
     folder, ``record`` and ``failure``."""
+    kept: str = ""
+    """Key of the folder of complete results of this record, of this or another input; a failure
+    doesn't replace them. Empty if there are none."""
 
 
 def open_results(url: str) -> "Results":
@@ -72,8 +79,8 @@ def version_of(record: str, files: Iterable[Entry]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-class _Attempts:
-    """Notes of the attempts that are being computed, stored next to the results."""
+class _Results:
+    """Results of logs, and next to them notes of the attempts that are being computed."""
 
     place: Place
 
@@ -90,7 +97,8 @@ class _Attempts:
 
     def end(self, key: str) -> None:
         """Remove the note of an attempt that ended, with results or without."""
-        self.place.delete([key])
+        with suppress(JaxdetError):
+            self.place.delete([key])
 
     def deaths(self, target: Target, command: str | None = None) -> tuple[int, int]:
         """Return the number of attempts whose process was killed, and of those lost with a machine.
@@ -112,12 +120,56 @@ class _Attempts:
             lost += dead is None and time.time() - record["time"] < _DAY_S
         return killed, lost
 
+    def note_failure(self, target: Target, failure: Mapping[str, Any]) -> None:
+        """Write why a version has no results, next to older results, which are kept."""
+        self.place.put(self._failure_key(target), _bytes(failure))
+
+    def failure(self, target: Target, seen: Standing) -> Mapping[str, Any] | None:
+        """Return why an earlier attempt failed; None if none did."""
+        if seen.kept:
+            return self._json(self._failure_key(target))
+        return seen.current["failure"] if seen.current and seen.state == "failed" else None
+
+    def _failure_key(self, target: Target) -> str:
+        return self.notes(target).rstrip("/") + ".json"
+
     def forget(self, target: Target) -> None:
         """Remove the notes about a version."""
-        self.place.delete([entry.key for entry in self.place.list(self.notes(target))])
+        notes = [entry.key for entry in self.place.list(self.notes(target))]
+        self.place.delete([*notes, self._failure_key(target)])
+
+    def folder(self, name: str) -> str:
+        """Return the key of the folder of a log's complete results; empty if there are none."""
+        raise NotImplementedError
+
+    def files(self, name: str, run: str = "") -> dict[str, str]:
+        """Return the keys of a log's files by their names in its folder; empty without results.
+
+        Args:
+            name: Name of the log's results.
+            run: Checksum of a configuration; results of others are left out.
+        """
+        own = self.folder(name)
+        manifest = self._json(f"{own}/{MANIFEST}") if own else None
+        if not manifest or run not in ("", manifest.get("run")):
+            return {}
+        if any(map(leads_out, manifest["files"])):
+            raise InputError("was changed", path=f"{self.place.url}/{own}/{MANIFEST}")
+        return {file: f"{own}/{file}" for file in (*manifest["files"], MANIFEST)}
+
+    def summary(self, seen: Standing) -> dict[str, Any]:
+        """Return ``summary.json`` of results of this record; empty if they were replaced."""
+        return self._json(f"{seen.kept}/{SUMMARY}") or {}
+
+    def _json(self, key: str) -> dict[str, Any] | None:
+        found = self.place.get(key)
+        try:
+            return json.loads(found[0]) if found else None
+        except ValueError:
+            raise InputError("is not JSON", path=f"{self.place.url}/{key}") from None
 
 
-class BucketResults(_Attempts):
+class BucketResults(_Results):
     """Results of logs in a bucket."""
 
     def __init__(self, place: Bucket) -> None:
@@ -128,14 +180,19 @@ class BucketResults(_Attempts):
         current = self._json(f"{target.name}/{CURRENT}")
         if not current:
             return Standing("new")
+        own = current["record"] == target.record and "attempt" in current
+        kept = f"{target.name}/{current['attempt']}" if own else ""
         if current["version"] != target.version:
-            return Standing("other", current)
+            return Standing("other", current, kept)
         states = ("whole", "attempt"), ("failed", "failure")
-        return Standing(next((state for state, key in states if key in current), "new"), current)
+        state = next((state for state, key in states if key in current), "new")
+        return Standing(state, current, kept)
 
-    def stage(self, attempt: str, spool: Path) -> Path:
-        """Return the path at which an attempt makes its results folder."""
-        return spool / "results"
+    def stage(self, attempt: str, spool: Path, name: str = "results") -> Path:
+        """Return the path at which an attempt makes its results folder; its parent is new."""
+        with writing(spool):
+            (spool / "new").mkdir(parents=True, exist_ok=True)
+        return spool / "new" / name
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
         """Publish a complete folder as the results of a log.
@@ -167,26 +224,40 @@ class BucketResults(_Attempts):
             self.place.delete(keys)
         return state
 
-    def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
-        """Publish the reason why a log has no results, unless results were published meanwhile."""
+    def fail(
+        self,
+        target: Target,
+        failure: Mapping[str, Any],
+        seen: Standing,
+        staged: Path | None = None,
+    ) -> None:
+        """Publish the reason why a log has no results, unless results were published meanwhile.
+
+        Args:
+            target: Log and version.
+            failure: Content of ``failed.json``.
+            seen: State of the log's results when the attempt began.
+            staged: Folder that the attempt made, with reports of crashes.
+        """
+        for report in staged.glob(f"*{REPORT}") if staged else ():
+            self.place.put(f"{target.name}/{report.name}", report)
         self._point(target, {"failure": failure}, seen)
 
     def reopen(self, target: Target, seen: Standing) -> None:
         """Remove the failure of a log and the notes of its attempts."""
         self.forget(target)
-        self._point(target, {}, seen)
+        if not seen.kept:
+            self._point(target, {}, seen)
 
-    def files(self, name: str) -> dict[str, str]:
-        """Return the keys of a log's files by their names in its folder; empty without results."""
+    def logs(self) -> list[str]:
+        """Return the names of all logs, in order."""
+        keys = (entry.key.rpartition("/") for entry in self.place.list())
+        return sorted(name for name, _, file in keys if file == CURRENT)
+
+    def folder(self, name: str) -> str:
+        """Return the key of the folder of a log's complete results; empty if there are none."""
         current = self._json(f"{name}/{CURRENT}") or {}
-        own = f"{name}/{current.get('attempt')}"
-        manifest = self._json(f"{own}/{MANIFEST}") if "attempt" in current else None
-        names = [*manifest["files"], MANIFEST] if manifest else ()
-        return {file: f"{own}/{file}" for file in names}
-
-    def summary(self, target: Target, attempt: str) -> dict[str, Any]:
-        """Return the content of ``summary.json`` of an attempt; empty if it was replaced."""
-        return self._json(f"{target.name}/{attempt}/{SUMMARY}") or {}
+        return f"{name}/{current['attempt']}" if "attempt" in current else ""
 
     def _point(self, target: Target, to: Mapping[str, Any], seen: Standing) -> str:
         """Write ``current.json``, unless another attempt has published since ``seen`` was read.
@@ -207,12 +278,8 @@ class BucketResults(_Attempts):
             if self.place.swap(key, text, found[1]) if found else self.place.create(key, text):
                 return "done"
 
-    def _json(self, key: str) -> dict[str, Any] | None:
-        found = self.place.get(key)
-        return json.loads(found[0]) if found else None
 
-
-class FolderResults(_Attempts):
+class FolderResults(_Results):
     """Results of logs in a folder that several processes or machines share."""
 
     def __init__(self, place: Folder) -> None:
@@ -224,49 +291,64 @@ class FolderResults(_Attempts):
 
     def standing(self, target: Target) -> Standing:
         for file, state in ((MANIFEST, "whole"), (FAILED, "failed")):
-            if found := self.place.get(f"{target.name}/{file}"):
-                content = json.loads(found[0])
+            if content := self._json(f"{target.name}/{file}"):
                 record = content.get("run", "") + content.get("overwrites", "")
                 inputs = map(input_entry, content.get("fetched") or content.get("inputs") or ())
                 same = version_of(record, inputs) == target.version
-                return Standing(state if same else "other", {"record": record, "failure": content})
+                kept = target.name if state == "whole" and record == target.record else ""
+                current = {"record": record, "failure": content}
+                return Standing(state if same else "other", current, kept)
         return Standing("new")
 
-    def stage(self, attempt: str, spool: Path) -> Path:
-        parent = self.root / FLEET / "staged"
-        with writing(parent):
-            parent.mkdir(parents=True, exist_ok=True)
-            for left in parent.iterdir():
+    def stage(self, attempt: str, spool: Path, name: str = "results") -> Path:
+        new = self.root / FLEET / "staged" / f"{process()}-{attempt}"
+        with writing(new):
+            new.mkdir(parents=True, exist_ok=True)
+            for left in new.parent.iterdir():
                 if is_dead(left.name):
                     remove(left)
-        return parent / f"{process()}-{attempt}"
+        return new / name
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
-        return self._place(target, staged, () if seen.state == "whole" else ("whole",))
+        state = "done"
 
-    def summary(self, target: Target, attempt: str) -> dict[str, Any]:
-        found = self.place.get(f"{target.name}/{SUMMARY}")
-        return json.loads(found[0]) if found else {}
+        def is_there() -> bool:
+            nonlocal state
+            now = self.standing(target)
+            states = {"whole": "there", "other": "replaced"} if now != seen else {}
+            state = states.get(now.state, "done")
+            return state != "done"
 
-    def fail(self, target: Target, failure: Mapping[str, Any], seen: Standing) -> None:
-        staged = self.stage(f"failed-{secrets.token_hex(4)}", Path())
+        try:
+            with locked(self.root):
+                publish(staged, self.root, target.name, is_there)
+        finally:
+            remove(staged.parent)
+        return state
+
+    def logs(self) -> list[str]:
+        return sorted(path.parent.name for path in self.root.glob(f"*/{MANIFEST}"))
+
+    def folder(self, name: str) -> str:
+        return name
+
+    def fail(
+        self,
+        target: Target,
+        failure: Mapping[str, Any],
+        seen: Standing,
+        staged: Path | None = None,
+    ) -> None:
+        attempt = f"failed-{secrets.token_hex(4)}"
+        staged = staged or self.stage(attempt, Path())
         with writing(staged):
-            staged.mkdir()
-            (staged / FAILED).write_bytes(_bytes(failure))
-        self._place(target, staged, ("whole", "failed"))
+            staged.mkdir(exist_ok=True)
+        write_whole(staged / FAILED, _bytes(failure))
+        self.publish(target, attempt, staged, seen)
 
     def reopen(self, target: Target, seen: Standing) -> None:
         self.forget(target)
         self.place.delete([f"{target.name}/{FAILED}"])
-
-    def _place(self, target: Target, staged: Path, unless: tuple[str, ...]) -> str:
-        def is_there() -> bool:
-            return self.standing(target).state in unless
-
-        try:
-            return "done" if publish(staged, self.root, target.name, is_there) else "there"
-        finally:
-            remove(staged)
 
 
 Results = BucketResults | FolderResults
@@ -275,18 +357,19 @@ Results = BucketResults | FolderResults
 def result_files(url: str, name: str = "obstacles.parquet") -> list[str]:
     """Return the addresses of one file of every log with results, for readers of tables.
 
+    Results of another configuration or version than ``run.json``, which a run with ``--overwrite``
+    has not replaced yet, are left out.
+
     Args:
         url: Place of results.
         name: Name of the file in a log's folder.
     """
     results = open_results(url)
-    if isinstance(results, FolderResults):
-        return sorted(str(path) for path in results.root.glob(f"*/{name}"))
-    keys = sorted(entry.key for entry in results.place.list())
-    logs = [key.partition("/")[0] for key in keys if key.endswith(f"/{CURRENT}")]
+    found = results.place.get(RUN)
+    run = digest(json.loads(found[0])) if found else ""
     with ThreadPoolExecutor(32) as pool:
-        found = pool.map(results.files, logs)
-        return [f"{results.place.url}/{files[name]}" for files in found if name in files]
+        logs = pool.map(partial(results.files, run=run), results.logs())
+        return [f"{results.place.url}/{files[name]}" for files in logs if name in files]
 
 
 def download(url: str, name: str, folder: Path) -> Path:
@@ -296,7 +379,6 @@ def download(url: str, name: str, folder: Path) -> Path:
         InputError: There are no results, or they were replaced during the copy.
     """
     results = open_results(url)
-    assert isinstance(results, BucketResults)
     files = results.files(name)
     if not files:
         raise InputError("has no results", path=f"{url}/{name}")

@@ -1,24 +1,24 @@
 """Run of a log at an address: fetch it, run it, publish its results; for use by any scheduler."""
 
 import json
+import os
 import secrets
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import suppress
-from functools import cache
+from contextlib import ExitStack
+from functools import cache, partial
 from itertools import zip_longest
 from pathlib import Path
 from threading import Event
 from typing import Any
 
-from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError
+from jaxdet.errors import ConfigError, InputError, JaxdetError, OutputError, WorkerStartError
 from jaxdet.fleet.logs import Log, entries_of, size_of
 from jaxdet.fleet.place import Bucket, address, open_place, probe
 from jaxdet.fleet.publish import (
     MOST_KILLED,
     MOST_LOST,
-    BucketResults,
     Results,
     Target,
     download,
@@ -27,8 +27,11 @@ from jaxdet.fleet.publish import (
 )
 from jaxdet.fleet.spool import Spool, check_room, sweep
 from jaxdet.io.splits import METADATA
-from jaxdet.results.durable import remove
-from jaxdet.results.layout import FAILED, RUN, TRACKS
+from jaxdet.results.durable import remove, writing
+from jaxdet.results.json_files import read_json
+from jaxdet.results.layout import FAILED, RUN, SUMMARY, TRACKS, is_complete
+from jaxdet.results.summary import LogSummary, failure_record, problems
+from jaxdet.signals import called_at_end
 
 
 def run_log(log: Log, place: str, how: Mapping[str, Any]) -> dict[str, Any]:
@@ -89,7 +92,7 @@ class _Job:
 
     Attributes:
         outcome: Outcome of the log; None until it is known.
-        path: Path of the log on local disk.
+        paths: Files of the log on local disk.
         held: Size of the log's copy on local disk [bytes].
     """
 
@@ -99,7 +102,8 @@ class _Job:
         self.target = Target(log["name"], version, how["record"])
         self.outcome: dict[str, Any] | None = None
         self.spool: Spool | None = None
-        self.path, self.held, self.fetch_s = Path(), 0, 0.0
+        self.paths: list[Path] = []
+        self.held, self.attempts, self.fetch_s = 0, 0, 0.0
 
     def close(self) -> None:
         """Remove the log from local disk."""
@@ -123,7 +127,7 @@ class _Job:
         try:
             check_room(where, self.held, self.how.get("spool_size"), held)
             self.spool = Spool(where)
-            self.path = _fetch(log, self.spool.path, stop)
+            self.paths = _fetch(log, self.spool.path, stop)
         except InputError as error:
             if held and not self.spool:
                 return False
@@ -138,23 +142,23 @@ class _Job:
         self.seen = seen = self.results.standing(self.target)
         current = seen.current or {}
         if seen.state == "whole":
-            about = self.results.summary(self.target, current.get("attempt", ""))
-            lost = [frames for log in about.get("logs", ()) for frames in log["lost"]]
-            if not (lost and how.get("update")):
-                counts = {key: about.get(key, 0) for key in ("frames", "obstacles")}
-                self._end("there", error=self._add_tracks(), lost=lost, **counts)
+            about = self.results.summary(seen)
+            incomplete = any(log["lost"] or log["error"] for log in about.get("logs", ()))
+            if not (incomplete and how.get("update")):
+                found = self._reported(about)
+                self._end("there", **_joined(found, self._add_tracks()))
                 return False
-        if seen.state == "failed":
-            failure = current["failure"]
-            if not how.get("update") or failure.get("command") == how["command"]:
-                self._end("failed", error=failure["reason"])
-                return False
-            self.results.reopen(self.target, seen)
         replace = how.get("update") or how.get("overwrite")
         if seen.state == "other" and current["record"] == how["record"] and not replace:
             error = "there are results of another input; --update replaces them"
             self._end("failed", error=error)
             return False
+        if failure := self.results.failure(self.target, seen):
+            if not how.get("update") or failure.get("command") == how["command"]:
+                self._end("failed", error=failure["reason"])
+                return False
+            self.attempts = failure.get("attempts", 0)
+            self.results.reopen(self.target, seen)
         killed, lost = self._deaths()
         if killed >= MOST_KILLED or killed + lost >= MOST_LOST:
             self._fail(f"{killed + lost} processes that worked on it died")
@@ -166,41 +170,56 @@ class _Job:
         assert self.spool
         attempt, begin = secrets.token_hex(6), time.monotonic()
         key = self.results.begin(self.target, attempt, self.how["command"])
-        staged = self.results.stage(attempt, self.spool.path)
-        try:
+        staged = self.results.stage(attempt, self.spool.path, self.target.name)
+        with called_at_end(partial(self.results.end, key)), ExitStack() as last:
+            last.callback(remove, staged.parent)
             self.spool.witness(self.results.place.url, key)
             found = self._run(staged)
             found["run_s"] = round(time.monotonic() - begin, 3)
-            if found["error"]:
+            if not is_complete(staged):
+                if not all(path.exists() for path in self.paths):  # a later call tries again
+                    return self._end("failed", **found)
                 return self._fail(staged=staged, **found)
             if self.how.get("tracks"):
-                found["error"] = _link(staged)
+                found = _joined(found, _link(staged))
             state = self.results.publish(self.target, attempt, staged, self.seen)
             if state == "replaced":
                 found["error"] = "another run published results of another input meanwhile"
             found["publish_s"] = round(time.monotonic() - begin - found["run_s"], 3)
             return self._end(state, **found)
-        finally:
-            remove(staged)
-            with suppress(JaxdetError):
-                self.results.end(key)
 
     def _run(self, staged: Path) -> dict[str, Any]:
-        """Run the engine; errors of the log are in ``error``."""
+        """Run the engine and return entries of the outcome; ``error`` has errors of the log."""
         from jaxdet import engine
 
         given = {**self.how, "name": self.log["log"], "about": self._about()}
+        given["remarks"] = self.log.get("remarks")
         try:
-            found = engine.run_one(str(self.path), staged, given)
-        except (ConfigError, OutputError):
-            raise
+            found = engine.run_one(list(map(str, self.paths)), staged, given)
+        except (ConfigError, OutputError, WorkerStartError):
+            raise  # the log is not the cause
         except JaxdetError as error:
-            return {"error": self._renamed(str(error))}
+            return {"error": self._renamed(str(error), self.paths)}
         except Exception as error:
             return {"error": f"an error in jaxdet itself ({type(error).__name__}: {error})"}
-        error = self._renamed(found["error"]) if found["error"] else None
-        kept = {key: found[key] for key in ("frames", "obstacles", "lost", "warnings")}
-        return {**kept, "error": error}
+        if is_complete(staged):
+            return self._reported(read_json(staged / SUMMARY))
+        error = self._renamed(found["error"], self.paths)
+        return {"error": error, "warnings": found["warnings"]}
+
+    def _reported(self, summary: Mapping[str, Any]) -> dict[str, Any]:
+        """Return entries of the outcome from the ``summary.json`` of a log."""
+        logs = summary.get("logs", ())
+        paths = [Path(path) for log in logs for path in log["paths"]]
+        lost = [frames for log in logs for frames in log["lost"]]
+        errors = [line for line in problems(summary) if line not in lost] if logs else []
+        return {
+            "error": self._renamed("; ".join(errors), paths) or None,
+            "frames": summary.get("frames", 0),
+            "obstacles": summary.get("obstacles", 0),
+            "lost": lost,
+            "warnings": [warning for log in logs for warning in log["warnings"]],
+        }
 
     def _end(self, state: str, **values: Any) -> dict[str, Any]:
         """Set the outcome, and return it."""
@@ -211,20 +230,22 @@ class _Job:
 
     def _fail(self, error: str, staged: Path | None = None, **values: Any) -> dict[str, Any]:
         """Publish the reason why the log has no results: ``failed.json``, if ``staged`` has one."""
-        path = staged / FAILED if staged else None
-        if path and path.exists():
-            content = json.loads(self._renamed(path.read_text(encoding="utf-8")))
+        if staged and (staged / FAILED).exists():
+            text = (staged / FAILED).read_text("utf-8")
+            content = json.loads(self._renamed(text, self.paths, in_json=True))
         else:
             from jaxdet.results.manifest import fingerprint
-            from jaxdet.results.summary import LogSummary
 
             inputs = [fingerprint(Path(file["key"])) for file in self.log["files"]]
-            entry = {**LogSummary(self.log["log"], ()).to_dict(), "error": error}
-            content = {"reason": error, "log": self.log["log"], "logs": [entry], "inputs": inputs}
             run = self.how["record"].removesuffix(self.how["overwrites"])
-            content |= {"run": run, **self._about()}
-        noted = {"attempts": max(1, sum(self._deaths())), "command": self.how["command"]}
-        self.results.fail(self.target, {**content, **noted}, self.seen)
+            about = {"log": self.log["log"], "inputs": inputs, "run": run, **self._about()}
+            content = failure_record(about, [LogSummary(self.log["log"], (), error=error)])
+        content["attempts"] = self.attempts + max(1, sum(self._deaths()))
+        content["command"] = self.how["command"]
+        if self.seen.kept:
+            self.results.note_failure(self.target, content)
+        else:
+            self.results.fail(self.target, content, self.seen, staged)
         return self._end("failed", error=error, **values)
 
     def _deaths(self) -> tuple[int, int]:
@@ -247,34 +268,44 @@ class _Job:
             ]
         return about
 
-    def _renamed(self, text: str) -> str:
-        """Replace the path on local disk in a text by the log's address."""
-        log = self.log
-        first = log["files"][0]["key"]
-        return text.replace(str(self.path), f"{log['url']}/{first}") if log["url"] else text
+    def _renamed(self, text: str, paths: Sequence[Path], *, in_json: bool = False) -> str:
+        """Replace the paths of the log's local copy in a text by addresses."""
+        url = self.log["url"]
+        origin = f"{url}/{self.log['files'][0]['key']}".rpartition("/")[0]
+        origin = json.dumps(origin, ensure_ascii=False)[1:-1] if in_json else origin
+        for copy in {path.parent for path in paths if url}:
+            text = text.replace(str(copy), origin)
+        return text
 
     def _add_tracks(self) -> str | None:
-        """Add missing tracks to results in a bucket; return the error if that fails."""
-        results = self.results
-        if not (self.how.get("tracks") and isinstance(results, BucketResults)):
-            return None
-        if TRACKS in results.files(self.target.name):
+        """Add missing tracks to results; return the error if that fails."""
+        results, name, attempt = self.results, self.target.name, secrets.token_hex(6)
+        if not self.how.get("tracks") or TRACKS in results.files(name):
             return None
         spool = Spool(self.how.get("spool"))
+        staged = results.stage(attempt, spool.path, name)
         try:
-            folder = download(results.place.url, self.target.name, spool.path / "results")
-            error = _link(folder)
+            error = _link(download(results.place.url, name, staged))
             if error is None:
-                results.publish(self.target, secrets.token_hex(6), folder, self.seen)
+                results.publish(self.target, attempt, staged, self.seen)
             return error
         except InputError as error:  # another machine may have published results with tracks
-            return None if TRACKS in results.files(self.target.name) else str(error)
+            return None if TRACKS in results.files(name) else str(error)
         finally:
+            remove(staged.parent)
             spool.close()
 
 
+_MOST_NAME = 255
+"""Maximum length of a file name [bytes]."""
 _OUTCOME = {"error": None, "frames": 0, "obstacles": 0, "lost": [], "warnings": []}
 _OUTCOME |= {"fetch_s": 0.0, "run_s": 0.0, "publish_s": 0.0}
+
+
+def _joined(values: dict[str, Any], error: str | None) -> dict[str, Any]:
+    """Add an error to the entries of an outcome."""
+    errors = filter(None, (values["error"], error))
+    return {**values, "error": "; ".join(errors) or None}
 
 
 def _link(folder: Path) -> str | None:
@@ -289,26 +320,25 @@ def _link(folder: Path) -> str | None:
     return None
 
 
-def _fetch(log: Log, folder: Path, stop: Event) -> Path:
-    """Copy a log to local disk and return its path; a local log is not copied."""
+def _fetch(log: Log, folder: Path, stop: Event) -> list[Path]:
+    """Copy a log of a bucket to a folder; return the paths of its recordings on local disk."""
     entries = entries_of(log)
-    if not log["url"] and not all(Path(entry.key).exists() for entry in entries):
-        raise InputError("is not on this machine", path=entries[0].key)
-    if not log["url"] and len(entries) == 1:
-        return Path(entries[0].key)
-    folder = folder / "log"
-    folder.mkdir()
-    place = open_place(log["url"]) if log["url"] else None
-    paths = [folder / Path(entry.key).name for entry in entries]
-    about = Path(entries[0].key).with_name(METADATA)
-    if not place and about.exists():  # otherwise the files may not count as one recording
-        (folder / METADATA).symlink_to(about)
+    if not log["url"]:
+        paths = [Path(entry.key) for entry in entries]
+        if not all(path.exists() for path in paths):
+            raise InputError("is not on this machine", path=str(paths[0]))
+        return paths
+    place = open_place(log["url"])
+    assert isinstance(place, Bucket)
+    paths = [folder / "log" / Path(entry.key).name for entry in entries]
+    if long := [path.name for path in paths if len(os.fsencode(path.name)) > _MOST_NAME]:
+        problem = f"a name of more than {_MOST_NAME} bytes can't be on local disk"
+        raise InputError(problem, path=f"{log['url']}/.../{long[0][:40]}...")
+    with writing(folder):
+        paths[0].parent.mkdir()
     for entry, path in zip(entries, paths, strict=True):
-        if isinstance(place, Bucket):
-            place.fetch(entry, path, stop)
-        else:
-            path.symlink_to(entry.key)
-    return folder if len(paths) > 1 else paths[0]
+        place.fetch(entry, path, stop)
+    return [path for path in paths if path.name != METADATA]
 
 
 def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
@@ -332,8 +362,7 @@ def prepare(place: str, how: Mapping[str, Any]) -> dict[str, Any]:
             raise ConfigError(problem, path=url, remedy="install the same versions everywhere")
         return how
     at = open_place(url)
-    if isinstance(at, Bucket):
-        probe(at)
+    probe(at)
     while True:
         found = at.get(RUN)
         before = json.loads(found[0]) if found else {}

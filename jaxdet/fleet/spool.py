@@ -15,7 +15,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from jaxdet.errors import InputError, JaxdetError
+from jaxdet.errors import ConfigError, InputError, JaxdetError
 from jaxdet.fleet.place import open_place
 from jaxdet.results.durable import writing
 
@@ -64,7 +64,7 @@ class Spool:
     def __init__(self, base: str | None = None) -> None:
         self.path = base_folder(base) / f"{process()}-{secrets.token_hex(4)}"
         with writing(self.path):
-            self.path.mkdir(parents=True)
+            self.path.mkdir()
 
     def witness(self, url: str, key: str) -> None:
         """Record the attempt that uses the folder, so that :func:`sweep` can report its death."""
@@ -78,8 +78,19 @@ class Spool:
 
 
 def base_folder(base: str | None) -> Path:
-    """Return the folder of all spools of this user on this machine."""
-    return Path(base or tempfile.gettempdir()) / f"jaxdet-spool-{os.getuid()}"
+    """Return the folder of all spools of this user on this machine; it is made if missing.
+
+    Raises:
+        ConfigError: It is another user's, who could change the logs in it.
+    """
+    folder = Path(base or tempfile.gettempdir()).absolute() / f"jaxdet-spool-{os.getuid()}"
+    with writing(folder):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        owner = folder.lstat().st_uid
+    if owner != os.getuid() or folder.is_symlink():
+        problem = f"is a link, or belongs to another user (number {owner})"
+        raise ConfigError(problem, path=str(folder), remedy="give --spool another folder")
+    return folder
 
 
 def check_room(base: str | None, size: int, bound: int | None, held: int) -> None:
@@ -97,7 +108,6 @@ def check_room(base: str | None, size: int, bound: int | None, held: int) -> Non
     """
     folder = base_folder(base)
     with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
         free = shutil.disk_usage(folder).free
     most = (free + held) * 3 // 4 if bound is None else bound
     if size > min(most - held, free):

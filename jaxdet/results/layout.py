@@ -29,6 +29,8 @@ SUMMARY, CONFIG = "summary.json", "config.json"
 FRAMES, OBSTACLES = "frames.parquet", "obstacles.parquet"
 TRACKS, LINKS = "tracks.parquet", "track_links.parquet"
 """Tables that ``jaxdet track`` adds to a log's folder."""
+REPORT = "report.txt"
+"""End of the name of a crash report, in the folder of a log that failed by a bug in jaxdet."""
 WORKING, ASIDE = ".jaxdet", "aside-"
 """Folder of a command that writes results, and prefix of folders in it with results moved aside."""
 FLEET = ".fleet"
@@ -74,4 +76,6 @@ def check_folder(folder: Path) -> None:
     if not folder.is_dir():
         problem = "a file, not a folder of results" if folder.exists() else "no such folder"
         remedy = "name the folder that jaxdet run --output wrote"
+        if ":/" in str(folder):
+            remedy = "copy results from a bucket to a folder first, see jaxdet help fleets"
         raise InputError(problem, path=str(folder), remedy=remedy)

@@ -4,7 +4,7 @@ import dataclasses
 import math
 import os
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -307,6 +307,17 @@ class Summary:
             "logs": [log.to_dict() for log in self.logs],
             "versions": versions(),
         }
+
+
+def failure_record(about: Mapping[str, Any], logs: Sequence[LogSummary]) -> dict[str, Any]:
+    """Return the content of ``failed.json``.
+
+    Args:
+        about: Entries as in the manifest of a log with results.
+        logs: Summaries of the log's cameras.
+    """
+    reason = "; ".join(log.error for log in logs if log.error)
+    return {"reason": reason, "attempts": 1, **about, "logs": [log.to_dict() for log in logs]}
 
 
 def problems(content: Mapping[str, Any]) -> list[str]:

@@ -9,12 +9,15 @@ import os
 import signal
 import time
 import uuid
+from collections import Counter
 from pathlib import Path
 
 from jaxdet.engine import runner
+from jaxdet.engine.process_log import write_failure
 from jaxdet.engine.runner import record_of
 from jaxdet.results.manifest import fingerprint
 from jaxdet.results.record import digest
+from jaxdet.results.summary import LogSummary, Summary
 
 JOURNAL = "JAXDET_TEST_JOURNAL"
 """Environment variable of the folder that receives a file ``LOG@PID@NUMBER`` per computation."""
@@ -34,8 +37,7 @@ def computed(journal: Path, name: str = "") -> list[str]:
 
 def run_one(log_path, folder, how):
     """Write a table that depends only on the log, and a summary that does not."""
-    path = Path(log_path)
-    paths = sorted(path.iterdir()) if path.is_dir() else [path]
+    paths = list(map(Path, log_path))
     content = b"".join(one.read_bytes() for one in paths)
     name = how["name"].replace("/", "+")
     if content.startswith(b"\x89MCAP"):
@@ -50,8 +52,15 @@ def run_one(log_path, folder, how):
             os.kill(os.getpid(), signal.SIGKILL)
         if verb == "sleep":
             time.sleep(float(number))
-        if verb == "fail":
+        if verb == "fail" and before >= int(number or 0):
             return {"error": "no depth", **_NONE}
+        if verb == "crash":
+            failed = LogSummary(how["name"], (), error=f"send {Path(folder).name}/report.txt")
+            Path(folder).mkdir()
+            Path(folder, "report.txt").write_text("traceback")
+            about = {"run": digest(record_of(how)), "inputs": list(map(fingerprint, paths))}
+            write_failure(Path(folder), {**about, **how["about"]}, [failed])
+            return {"error": failed.error, **_NONE}
         if verb == "bug":
             raise KeyError("bug")
     folder = Path(folder)
@@ -60,10 +69,14 @@ def run_one(log_path, folder, how):
     (folder / "obstacles.parquet").write_text(rows.hexdigest())
     (folder / "pictures/000000.png").write_bytes(rows.digest())
     lost = ["frame 1"] if b"lose" in content and not before else []
-    about = {"log": how["name"], "it": uuid.uuid4().hex, "frames": 3, "logs": [{"lost": lost}]}
+    of = how["name"], tuple(map(str, paths))
+    logs = [LogSummary(*of, frames=3, status=Counter(ok=3), obstacles=2, lost=lost)]
+    if b"rear" in content:
+        logs.append(LogSummary(*of, error=f"{log_path[0]}: rear camera: no depth"))
+    about = {**Summary("jax", 1, logs).to_dict(), "it": uuid.uuid4().hex}
     (folder / "summary.json").write_text(json.dumps(about))
     write_manifest(folder, paths, how)
-    return {"error": None, "frames": 3, "obstacles": 2, "lost": lost, "warnings": []}
+    return {"error": logs[-1].error, "frames": 3, "obstacles": 2, "lost": lost, "warnings": []}
 
 
 _NONE = {"frames": 0, "obstacles": 0, "lost": [], "warnings": []}

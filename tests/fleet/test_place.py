@@ -75,12 +75,16 @@ def test_credentials_in_an_address_are_refused_and_not_shown(url, tmp_path):
 def test_credentials_in_an_error_of_the_store_are_not_shown(stores):
     class Broken:
         def __getattr__(self, name):
-            raise OSError("GET https://user:secret@host/x?sig=secret: 403\nDebug: secret")
+            body = (
+                "<Error><Code>Denied</Code>\n<Message>No access</Message><Key>secret</Key></Error>"
+            )
+            body = f'<?xml version="1.0"?>\n{body}\nDebug: secret'
+            raise OSError(f"GET https://user:secret@host/x?sig=secret: 403 {body}")
 
     place = Bucket("s3://bucket/x")
     with pytest.raises(OutputError) as raised, place._reached("key"):
         Broken().read()
-    assert "secret" not in str(raised.value) and "403" in str(raised.value)
+    assert "secret" not in str(raised.value) and "403 Denied: No access)" in str(raised.value)
     assert "s3://bucket/x/key" in str(raised.value)
 
 
@@ -151,9 +155,12 @@ def test_logs_of_a_bucket_are_listed(stores):
         "b": ["b.mcap"],
         "c_0": ["c_0.mcap"],
         "c_1": ["c_1.mcap"],
+        ".hidden/d": [".hidden/d.mcap"],
     }
     assert json.loads(json.dumps(logs)) == logs
     assert logs["day/a"]["name"] == "day--a" and size_of(logs["b"]) == 6
+    notes = filter(None, (log.get("remarks", {}).get("note") for log in logs.values()))
+    assert [*notes] == ["b.bag is left out: the same recording exists in another format"]
 
 
 LISTED = "rosbag2_bagfile_information:\n  relative_file_paths:\n"
@@ -170,6 +177,13 @@ LAYOUTS = {
         "r/r_1.db3.zstd": "",
         "r/metadata.yaml": "  - r_0.db3.zstd\n  - r_1.db3.zstd\n",
     },
+    "hidden": {
+        ".trash/x.mcap": "",
+        "a/.old/y.bag": "",
+        ".z.mcap": "",
+        "._z.mcap": "",
+        "b.mcap": "",
+    },
     "other names": {"r/a.mcap": "", "r/b.mcap": "", "r/metadata.yaml": "  - a.mcap\n  - b.mcap\n"},
     "a missing file": {
         "r_0.mcap": "",
@@ -185,16 +199,17 @@ def test_logs_have_the_same_names_in_a_bucket_and_in_a_folder(layout, stores, tm
     for name, text in LAYOUTS[layout].items():
         content = (LISTED + text if text else name).encode()
         open_place(url).put(name, content)
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(content)
 
-    def files(place) -> dict[str, list[str]]:
-        named = {
-            log["log"]: [Path(f["key"]).name for f in log["files"]] for log in list_logs(place)
-        }
+    def files(place, *, join: bool) -> dict[str, list[str]]:
+        logs = list_logs(place, join=join)
+        named = {log["log"]: [Path(f["key"]).name for f in log["files"]] for log in logs}
         return {log: [name for name in names if "yaml" not in name] for log, names in named.items()}
 
-    assert files(url) == files(tmp_path)
+    for join in (True, False):
+        assert files(url, join=join) == files(tmp_path, join=join)
+    assert all(len(names) == 1 for names in files(url, join=False).values())
 
 
 def test_a_bucket_without_logs_is_an_error(stores):

@@ -1,11 +1,13 @@
 """Publishing of results: crashes at every step, races, replaced versions."""
 
+import json
 import threading
 from pathlib import Path
 
 import pytest
 
-from jaxdet.fleet import publish, result_files, spool
+from jaxdet.errors import InputError
+from jaxdet.fleet import download, publish, result_files, spool
 from jaxdet.fleet.place import Bucket, Folder, input_entry
 from jaxdet.fleet.publish import BucketResults, Target, open_results, version_of
 from jaxdet.results import durable as folders
@@ -45,7 +47,7 @@ def stage(results, tmp_path: Path, attempt: str, record: str = "r1") -> Path:
     log = tmp_path / f"{attempt}.mcap"
     log.write_text(record)
     staged = results.stage(attempt, tmp_path / attempt)
-    run_one(log, staged, {"name": "log", "about": about(record)})
+    run_one([log], staged, {"name": "log", "about": about(record)})
     return staged
 
 
@@ -145,17 +147,35 @@ def test_one_of_four_simultaneous_attempts_is_published(url, tmp_path):
         assert len(kept) == 2  # current.json and one attempt
 
 
-def test_a_late_attempt_does_not_replace_a_newer_version(stores, tmp_path):
-    results = open_results("s3://bucket/results")
+def test_a_late_attempt_does_not_replace_a_newer_version(url, tmp_path):
+    results = open_results(url)
     old, new = target_of("r1"), target_of("r2")
     late = results.standing(old)
     staged = stage(results, tmp_path, "a0", "r1")
     fresh = stage(results, tmp_path, "a1", "r2")
     assert results.publish(new, "a1", fresh, results.standing(new)) == "done"
-    before = table("s3://bucket/results", tmp_path)
+    before = table(url, tmp_path)
     assert results.publish(old, "a0", staged, late) == "replaced"
-    assert table("s3://bucket/results", tmp_path) == before
+    assert table(url, tmp_path) == before
+    results.fail(old, {"reason": "late", **about("r1")}, late)
+    assert table(url, tmp_path) == before
     assert not [*results.place.list("log/a0")]
+
+
+def test_downloads_do_not_write_outside_of_their_folder(stores, tmp_path):
+    url = "s3://bucket/results"
+    results, target = open_results(url), target_of("r1")
+    staged = stage(results, tmp_path, "a0")
+    manifest = json.loads((staged / "manifest.json").read_text())
+    manifest["files"]["../outside"] = manifest["files"]["summary.json"]
+    (staged / "manifest.json").write_text(json.dumps(manifest))
+    results.publish(target, "a0", staged, results.standing(target))
+    results.place.put("log/outside", b"secret")
+    with pytest.raises(InputError, match=r"manifest.json: was changed"):
+        download(url, "log", tmp_path / "copy")
+    results.place.put("log/current.json", b"{")
+    with pytest.raises(InputError, match=r"s3://bucket/results/log/current.json: is not JSON"):
+        results.standing(target)
 
 
 def test_a_failure_does_not_replace_results(url, tmp_path):

@@ -2,17 +2,22 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
-from jaxdet.errors import ConfigError, OutputError
+import jaxdet
+from jaxdet.engine import Progress
+from jaxdet.errors import ConfigError, Interrupted, OutputError
 from jaxdet.fleet import list_logs, prepare, result_files, run_fleet, run_log, run_logs, spool
 from jaxdet.fleet import place as places
-from jaxdet.fleet.command import _of_a_node, _resources, chunks
-from jaxdet.fleet.place import Bucket, open_place
+from jaxdet.fleet.command import _of_a_node, _resources, _slots, chunks
+from jaxdet.fleet.place import Bucket, is_url, open_place
+from jaxdet.sim import SimConfig, write_log
 from tests.fleet.stub import check_complete, check_results, computed
 
 LOGS, RESULTS = "s3://bucket/logs", "s3://bucket/results"
@@ -62,10 +67,72 @@ def test_update_runs_failed_and_changed_logs_again(stores, engine, how, put, tmp
     assert len(kept) == 2  # current.json and one attempt
 
 
-@pytest.mark.parametrize("bucket", [True, False], ids=("bucket", "folder"))
-def test_lost_frames_are_reported_again_until_an_update(bucket, stores, engine, how, put, tmp_path):
+@pytest.fixture(params=["bucket", "folder"])
+def results(request, tmp_path):
+    """Return the address of results in a bucket or a folder."""
+    return RESULTS if request.param == "bucket" else str(tmp_path / "results")
+
+
+def table(results: str, tmp_path: Path) -> str:
+    """Assert that the results of log a are complete; return its table."""
+    if is_url(results):
+        return check_results(results, "a", tmp_path)
+    assert not (Path(results) / "a/failed.json").exists()
+    return check_complete(Path(results) / "a")
+
+
+@pytest.mark.parametrize("changed", [True, False])
+def test_results_are_kept_if_an_update_fails(changed, results, stores, engine, how, put, tmp_path):
+    put(LOGS, a="lose fail=1")
+    assert run_fleet([LOGS], results, how)[0]["lost"] == ["frame 1"]
+    old = table(results, tmp_path)
+    if changed:
+        put(LOGS, a="fail")
+        (outcome,) = run_fleet([LOGS], results, how)
+        assert "another input; --update" in outcome["error"]
+    update = {**how, "update": True}
+    for runs in (2, 3):  # each update tries the log again
+        (outcome,) = run_fleet([LOGS], results, update)
+        assert (outcome["state"], outcome["error"]) == ("failed", "no depth")
+        assert table(results, tmp_path) == old and len(computed(engine)) == runs
+    ready = prepare(results, update)
+    for _ in range(2):  # a scheduler repeats a call
+        assert run_log(list_logs(LOGS)[0], results, ready)["state"] == "failed"
+    assert len(computed(engine)) == 4
+    put(LOGS, a="better")
+    assert states(run_fleet([LOGS], results, update)) == {"a": "done"}
+    assert table(results, tmp_path) != old
+
+
+def test_a_camera_that_failed_does_not_fail_the_log(results, stores, engine, how, put, tmp_path):
+    put(LOGS, a="rear")
+    update = {**how, "update": True}
+    for given, state in ((how, "done"), (how, "there"), (update, "done")):
+        (outcome,) = run_fleet([LOGS], results, given)
+        assert (outcome["state"], outcome["frames"]) == (state, 3)
+        assert outcome["error"] == "s3://bucket/logs/a.mcap: rear camera: no depth"
+        assert table(results, tmp_path)
+
+
+def test_the_report_of_a_crash_is_published_and_attempts_are_counted(
+    results, stores, engine, how, put
+):
+    put(LOGS, a="crash")
+    for given in (how, how, {**how, "update": True}):
+        (outcome,) = run_fleet([LOGS], results, given)
+        assert (outcome["state"], outcome["error"]) == ("failed", "send a/report.txt")
+    place = open_place(results)
+    assert place.get("a/report.txt")[0] == b"traceback"
+    found = place.get("a/current.json" if is_url(results) else "a/failed.json")
+    content = json.loads(found[0])
+    assert content.get("failure", content)["attempts"] == 2
+    put(LOGS, a="a")
+    assert states(run_fleet([LOGS], results, {**how, "update": True})) == {"a": "done"}
+    assert place.get("a/report.txt") is None
+
+
+def test_lost_frames_are_reported_again_until_an_update(results, stores, engine, how, put):
     put(LOGS, a="lose")
-    results = RESULTS if bucket else str(tmp_path / "results")
     given = [how, how, {**how, "update": True}, how]
     found = [run_fleet([LOGS], results, each)[0] for each in given]
     assert [one["state"] for one in found] == ["done", "there", "done", "there"]
@@ -74,26 +141,27 @@ def test_lost_frames_are_reported_again_until_an_update(bucket, stores, engine, 
 
 
 def test_another_configuration_is_refused_unless_results_are_overwritten(
-    stores, engine, how, put, tmp_path
+    results, stores, engine, how, put, tmp_path
 ):
     put(LOGS, a="a", b="b")
-    run_fleet([LOGS], RESULTS, how)
+    run_fleet([LOGS], results, how)
     other = {**how, "config": {"ground": {"step_height_m": 0.05}}}
     with pytest.raises(ConfigError, match=r"ground\.step_height_m was 0\.03 and is 0\.05 now"):
-        run_fleet([LOGS], RESULTS, other)
-    old = check_results(RESULTS, "a", tmp_path)
-    begun = prepare(RESULTS, {**other, "overwrite": True})
+        run_fleet([LOGS], results, other)
+    old = table(results, tmp_path)
+    begun = prepare(results, {**other, "overwrite": True})
     (log, rest) = list_logs(LOGS)
-    assert run_log(log, RESULTS, begun)["state"] == "done"  # the run is killed here
-    assert check_results(RESULTS, "a", tmp_path) != old
+    assert run_log(log, results, begun)["state"] == "done"  # the run is killed here
+    assert table(results, tmp_path) != old
     with pytest.raises(ConfigError):
-        run_fleet([LOGS], RESULTS, how)
-    assert states(run_fleet([LOGS], RESULTS, other)) == {"a": "there", "b": "done"}
-    late = prepare(RESULTS, other)
-    again = run_fleet([LOGS], RESULTS, {**other, "overwrite": True})
+        run_fleet([LOGS], results, how)
+    assert [Path(url).relative_to(Path(results)).parts[0] for url in result_files(results)] == ["a"]
+    assert states(run_fleet([LOGS], results, other)) == {"a": "there", "b": "done"}
+    late = prepare(results, other)
+    again = run_fleet([LOGS], results, {**other, "overwrite": True})
     assert states(again) == {"a": "done", "b": "done"}
     with pytest.raises(ConfigError, match="this machine"):
-        run_log(rest, RESULTS, {**late, "overwrites": "else"})
+        run_log(rest, results, {**late, "overwrites": "else"})
 
 
 def test_a_log_replaced_while_it_is_fetched_fails_without_a_record(
@@ -142,6 +210,25 @@ def test_splits_of_a_recording_are_fetched_together(stores, engine, how, tmp_pat
     place.put("r/metadata.yaml", b"  relative_file_paths:\n  - r_0.mcap\n  - r_1.mcap\n")
     assert states(run_fleet([LOGS], RESULTS, how)) == {"r--r": "done"}
     check_results(RESULTS, "r--r", tmp_path)
+
+
+@pytest.mark.parametrize(
+    "key", ['a "b"/c\\d/x.mcap', "zero\u200bwidth/x.mcap", "n" * 300 + ".mcap"]
+)
+def test_odd_keys_of_logs_are_no_crash(key, stores, engine, how):
+    open_place(LOGS).put(key, b"crash")
+    (outcome,) = run_fleet([LOGS], RESULTS, how)
+    assert outcome["state"] == "failed" and outcome["log"].isprintable()
+    assert run_fleet([LOGS], RESULTS, how)[0]["error"] == outcome["error"]
+
+
+def test_a_spool_folder_of_another_user_is_refused(stores, engine, how, put, tmp_path):
+    put(LOGS, a="a")
+    (tmp_path / "other").mkdir()
+    base = tmp_path / f"jaxdet-spool-{os.getuid()}"
+    base.symlink_to(tmp_path / "other")
+    with pytest.raises(ConfigError, match="is a link, or belongs to another user"):
+        run_fleet([LOGS], RESULTS, {**how, "spool": str(tmp_path)})
 
 
 def test_the_next_log_is_fetched_during_a_run_within_the_limit_of_the_spool(
@@ -204,12 +291,30 @@ def test_logs_and_results_may_be_in_folders(engine, how, tmp_path):
     assert {path.name for path in results.iterdir()} == {"a", "b", "c", "run.json", ".fleet"}
 
 
+def test_an_interrupted_local_run_keeps_the_run_json_of_simultaneous_shares(tmp_path):
+    log, results = tmp_path / "a.mcap", tmp_path / "results"
+    write_log(log, SimConfig(frames=2, width=96, height=72))
+    how = {"pictures": 0, "preset": "wheeled", "spool": str(tmp_path)}
+    ready = prepare(str(results), how)  # a share has begun
+
+    def stop(_: Progress) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted):
+        jaxdet.run(log, results, pictures=0, progress=stop)
+    assert run_log(list_logs(log)[0], str(results), ready)["state"] == "done"
+    assert len(jaxdet.open_results(results).logs) == 1
+
+
 KILLED = """
 import sys
+from jaxdet.signals import guard_process
 from tests.fleet.stub import install
+guard_process()
 install()
 from jaxdet.fleet import run_fleet
-for outcome in run_fleet([sys.argv[1]], sys.argv[2], {"spool": sys.argv[3]}):
+how = {"spool": sys.argv[3], "update": "--update" in sys.argv}
+for outcome in run_fleet([sys.argv[1]], sys.argv[2], how):
     print(outcome["name"], outcome["state"], outcome["error"])
 """
 
@@ -228,6 +333,37 @@ def test_a_log_that_kills_three_processes_is_recorded_as_failed(engine, how, tmp
     assert failure["attempts"] == 3
     assert computed(engine, "a") == ["a"] * 3 and left(how) == []
     assert os.listdir(results / ".fleet/staged") == []
+
+
+def test_an_attempt_that_a_signal_ends_does_not_count_as_killed(engine, how, tmp_path):
+    """The guard ends the process, as a signal can't interrupt the stub."""
+    logs, results = tmp_path / "logs", tmp_path / "results"
+    logs.mkdir()
+    (logs / "a.mcap").write_text("sleep=60")
+    command = [sys.executable, "-c", KILLED, str(logs), str(results), how["spool"]]
+    with subprocess.Popen(command) as run:
+        while not computed(engine):
+            time.sleep(0.05)
+        run.terminate()
+    assert run.returncode == 128 + signal.SIGTERM
+    assert [*(results / ".fleet").glob("a/attempts/*")]
+    assert not [*(results / ".fleet").glob("a/attempts/*/*")]
+
+
+def test_results_are_kept_if_the_changed_log_kills_three_processes(engine, how, tmp_path):
+    logs, results = tmp_path / "logs", tmp_path / "results"
+    logs.mkdir()
+    (logs / "a.mcap").write_text("a")
+    command = [sys.executable, "-c", KILLED, str(logs), str(results), how["spool"], "--update"]
+    ends = []
+    for text in (None, *["kill=9"] * 5):
+        (logs / "a.mcap").write_text(text or "a")
+        os.utime(logs / "a.mcap", (1, 1))
+        run = subprocess.run(command, check=False, capture_output=True, text=True)
+        ends.append(run.stdout.strip() or run.returncode)
+    assert ends[:4] == ["a done None", -9, -9, -9]
+    assert ends[4:] == ["a failed 3 processes that worked on it died", -9]
+    assert check_complete(results / "a")
 
 
 def test_credentials_are_never_written_or_printed(stores, engine, how, put, monkeypatch, capfd):
@@ -260,11 +396,16 @@ def test_tasks_request_the_resources_of_the_smallest_node():
     assert _of_a_node(nodes) == {"num_cpus": 4.0, "num_gpus": 0.0}
     nodes.append({"Alive": True, "Resources": {"CPU": 16.0, "GPU": 2.0}})
     assert _of_a_node(nodes) == {"num_cpus": 16.0, "num_gpus": 2.0}
+    slots = [_slots(nodes, {"num_cpus": cpus}) for cpus in (1, 4, 5, 17)]
+    assert slots == [28, 7, 4, 0] and _slots(nodes, {"num_cpus": 8, "num_gpus": 1}) == 2
     assert _resources("ray") == {}
     assert _resources("ray:num_cpus=16,num_gpus=1") == {"num_cpus": 16.0, "num_gpus": 1.0}
-    for wrong in ("dask", "ray:x=1", "ray:num_cpus", "ray:num_cpus=a"):
+    wrong = (
+        "dask ray:x=1 ray:num_cpus ray:num_cpus=a ray:num_cpus=0 ray:num_gpus=-1 ray:num_cpus=nan"
+    )
+    for where in wrong.split():
         with pytest.raises(ConfigError):
-            _resources(wrong)
+            _resources(where)
 
 
 def test_a_log_missing_on_this_machine_is_not_recorded_as_failed(engine, how, tmp_path):
