@@ -147,7 +147,6 @@ def complete(
     texts = (
         (counts.backward, "timestamps run backward; frames are ordered by timestamp"),
         (counts.double, "timestamps occur twice"),
-        (counts.zero, "header timestamps are zero"),
         (counts.undecodable, "messages can't be decoded"),
     )
     warnings += [f"{topic}: {count} {text}" for count, text in texts if count]

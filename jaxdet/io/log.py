@@ -16,7 +16,6 @@ from jaxdet.errors import FrameError, FrameStatus, InputError, RescanError
 from jaxdet.io.batch import Batch, LogFrame
 from jaxdet.io.body_mask import hidden_pixels
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.clocks import first_stamp, unset_clock_text
 from jaxdet.io.contents import LogContents
 from jaxdet.io.description import LogDescription, complete, describe, with_bad_color
 from jaxdet.io.files import LogFiles
@@ -116,13 +115,10 @@ class Log:
         several = len(found.cameras.names) > 1
         self.label = f"{self.name}, {self.camera}" if several else self.name
         part = options.start, options.stop, options.every
-        begin_ns, before = first_stamp(frames.num_frames, frames.stamp_ns, frames.log_ns)
+        begin_ns = frames.stamp_ns(0)
         if part != (None, None, 1):
             frames.check_clocks()
         self.frames = find_part(begin_ns, self.num_frames, frames.stamp_ns, *part, self._path)
-        if before and frames.stamp_ns(0):
-            text = unset_clock_text(found.choice.depth, before, frames.stamp_ns(0))
-            found = found._replace(warnings=(*found.warnings, text))
         self.description = describe(files, contents, found, self.frames, begin_ns)
         if frames.depth.is_complete:
             self.description = self.described(self._window(0, self.num_frames).notes)

@@ -6,7 +6,7 @@ messages and an even sample, and each window checks that its messages have the s
 """
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import Any
 
@@ -25,6 +25,7 @@ from jaxdet.io.transforms import TransformTree
 
 _SLACK_NS = 250_000_000
 """Allowed deviation of delays from those found at opening [ns]."""
+_NONE = np.zeros(0, np.int64)
 _BESIDE = 8
 """Initial number of extra messages on each side of a window."""
 _MAX_MESSAGES = 20_000
@@ -55,13 +56,27 @@ class MotionWindows:
         """Rank of each message in file order; the messages themselves are in order of log time."""
         self._messages = messages.rows(self._arrival)
         self._store, self._tree, self._tracks = store, TransformTree(), contents.tracks
-        self._path, self._seen, self.whole = contents.path, contents.delays, whole
+        self._path, self.whole = contents.path, whole
         self._decoded: OrderedDict[int, list[tuple[str, TransformMessage]]] = OrderedDict()
 
     def of_tree(self, tree: TransformTree) -> "MotionWindows":
         """Return a copy for the transforms of one robot."""
         found = copy(self)
         found._tree, found._decoded = tree, OrderedDict()
+        return found
+
+    def samples(self, source: PoseSource) -> dict[str, MotionSamples]:
+        """Return the samples of the poses, by frame or topic, from the messages read at opening."""
+        return {
+            name: self._tracks[name] if source.topic else self._tree.samples(name)
+            for name in source.moving(self._tree)
+        }
+
+    def with_samples(self, samples: Mapping[str, MotionSamples]) -> "MotionWindows":
+        """Return a copy with these samples, by frame or topic; all messages were read."""
+        found = copy(self)
+        found._tree = self._tree.with_samples(samples)
+        found._tracks = {**self._tracks, **samples}
         return found
 
     def __getstate__(self) -> dict[str, Any]:
@@ -87,8 +102,12 @@ class MotionWindows:
         chunks = self._messages.chunks(own)
         if self.whole:
             return source.at(stamps_ns, self._tree, self._tracks), chunks
-        moving = source.moving(self._tree) if source.known else []
-        low, high = self._delays(moving)
+        known = self.samples(source) if source.known else {}
+        moving = list(known)
+        delays = np.concatenate([_NONE, *(one.stamps_ns - one.log_ns for one in known.values())])
+        low, high = 0, 0
+        if len(delays):
+            low, high = int(delays.min()) - _SLACK_NS, int(delays.max()) + _SLACK_NS
         about = int(stamps_ns.min()) - high, int(stamps_ns.max()) - low
         around = np.searchsorted(log_ns, about)
         bound = [
@@ -108,14 +127,6 @@ class MotionWindows:
             beside *= 2
         tree = self._tree.with_samples(samples)
         return source.at(stamps_ns, tree, samples), chunks
-
-    def _delays(self, moving: Sequence[str]) -> tuple[int, int]:
-        """Return the minimum and maximum expected delay, timestamp minus log time [ns]."""
-        found = [seen for (topic, child), seen in self._seen.items() if (child or topic) in moving]
-        if not found:
-            return 0, 0
-        least, most = min(seen.least for seen in found), max(seen.most for seen in found)
-        return least - _SLACK_NS, most + _SLACK_NS
 
     def _samples(
         self, bound: Sequence[int], moving: Sequence[str], low: int, high: int

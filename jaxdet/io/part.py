@@ -19,7 +19,7 @@ def find_part(
     """Return the numbers of the frames in a time range.
 
     Args:
-        begin_ns: Start of the log's time axis [ns], see :func:`jaxdet.io.clocks.first_stamp`.
+        begin_ns: Start of the log's time axis [ns].
         count: Number of frames.
         stamp_ns: Function that returns the timestamp of a frame [ns]; timestamps are in order.
         start: Start time, see :func:`jaxdet.io.moments.parse_moment`; None: the start of the log.

@@ -20,8 +20,6 @@ class StreamNotes(NamedTuple):
     """Number of messages with an earlier timestamp than the previous one."""
     double: int = 0
     """Number of timestamps equal to the previous one."""
-    zero: int = 0
-    """Number of timestamps of zero."""
     undecodable: int = 0
     """Number of messages whose timestamp can't be read."""
 

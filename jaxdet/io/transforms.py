@@ -1,7 +1,7 @@
 """Transform tree of a log, and motions between any two of its frames."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -112,8 +112,11 @@ class TransformTree:
         static: bool,
         once_is_static: bool = False,
         topic: str = "",
+        log_ns: int = 0,
+        *,
+        is_first: bool = False,
     ) -> None:
-        """Add transforms.
+        """Add the transforms of a message.
 
         Args:
             messages: Transforms.
@@ -121,6 +124,8 @@ class TransformTree:
             once_is_static: Whether a frame with a single transform is static (for Foxglove, whose
                 schemas do not distinguish static and moving transforms).
             topic: Topic of the transforms.
+            log_ns: Log time of the message [ns].
+            is_first: Whether it is one of the first messages of its topic.
         """
         self._topics.add(topic)
         for message in messages:
@@ -132,7 +137,8 @@ class TransformTree:
                 continue
             if not static:
                 edge.once_is_static |= once_is_static
-                edge.samples.add(message.stamp_ns, message.translation, message.rotation)
+                motion = message.translation, message.rotation
+                edge.samples.add(message.stamp_ns, *motion, log_ns, is_first=is_first)
                 continue
             T = motion_matrix(np.array(message.translation), np.array(message.rotation))
             if edge.fixed is None:
@@ -229,6 +235,10 @@ class TransformTree:
         """Return the topic of a frame's transforms; empty if unknown."""
         return self._edges[frame].topic if frame in self._edges else ""
 
+    def samples(self, frame: str) -> MotionSamples:
+        """Return the samples of a moving frame."""
+        return self._edges[frame].samples
+
     def parent(self, frame: str) -> str | None:
         """Return the parent of a frame; None if it is unknown."""
         return self._edges[frame].parent if frame in self._edges else None
@@ -248,7 +258,7 @@ class TransformTree:
             return was_warned or max(difference(edge.fixed, T)) <= 1e-6
         return not edge.settled or edge.samples.is_like_first(message)
 
-    def with_samples(self, samples: dict[str, MotionSamples]) -> "TransformTree":
+    def with_samples(self, samples: Mapping[str, MotionSamples]) -> "TransformTree":
         """Return a copy with other samples of the moving frames."""
         tree = TransformTree(self.path)
         for frame, edge in self._edges.items():
