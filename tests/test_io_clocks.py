@@ -184,5 +184,20 @@ def test_log_times_that_are_wrong_or_late_do_not_change_timestamps() -> None:
         assert not clock.text, name
     for later_s in (0.001, 1000):
         again = stamps + round(later_s * SECOND)
-        clock = read_clock("/a", np.tile(stamps, 2), np.append(stamps, again), 8)
+        times, content = np.append(stamps, again), np.zeros((600, 7))
+        clock = read_clock("/a", np.tile(stamps, 2), times, 8, content=content)
         assert not clock.text and set(clock.delays_ns.tolist()) == {0}
+
+
+@pytest.mark.parametrize("step_s", [2.0, -2.0, 1.5])
+def test_timestamps_that_occur_twice_since_a_clock_was_adjusted_are_different(
+    step_s: float,
+) -> None:
+    """The step is a multiple of the interval, as it may be in a simulation."""
+    stamps = START + np.arange(300) * (SECOND // 32)
+    wrong = stamps + round(step_s * SECOND) * (np.arange(300) < 200)
+    moving = np.arange(300)[:, None] * np.ones(7)
+    for content in (None, moving):
+        clock = read_clock("/a", wrong, stamps, 8, content=content)
+        np.testing.assert_array_equal(clock.stamps_ns, stamps)
+        assert "300 timestamps, 200 are" in clock.text

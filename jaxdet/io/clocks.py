@@ -77,8 +77,7 @@ class Clock(NamedTuple):
     stamps_ns: np.ndarray
     """Timestamps in order of arrival, ``(N,)`` int64 [ns]."""
     delays_ns: np.ndarray
-    """First delays of the messages whose timestamps are unchanged, ``(M,)`` int64 [ns]; repeated
-    messages count once, at their first log time."""
+    """First delays of the messages whose timestamps are unchanged, ``(M,)`` int64 [ns]."""
     shifts_ns: tuple[int, ...] = ()
     """Time by which each group of timestamps was moved [ns]."""
     text: str = ""
@@ -91,6 +90,7 @@ def read_clock(
     log_ns: np.ndarray,
     num_first: int,
     shifts_ns: Sequence[int] = (),
+    content: np.ndarray | None = None,
 ) -> Clock:
     """Return the timestamps of a topic as if its clock had never been set or adjusted.
 
@@ -105,10 +105,15 @@ def read_clock(
         num_first: Number of messages whose delays are returned; more are not read by the index.
         shifts_ns: Shifts of another topic; they are used instead of estimates near them, since all
             clocks of a robot are usually adjusted together.
+        content: Content of the messages, ``(N, K)``. Messages with equal timestamps and content
+            count once, at their first log time; None: all messages differ.
     """
     if not stamps_ns.any():
         return Clock(topic, stamps_ns, stamps_ns[:0])
-    stamps, index, inverse = np.unique(stamps_ns, return_index=True, return_inverse=True)
+    content = np.arange(len(stamps_ns))[:, None] if content is None else content
+    keys = np.column_stack([stamps_ns, content]) * (stamps_ns != 0)[:, None]
+    _, index, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    stamps, inverse = stamps_ns[index], inverse.reshape(-1)
     arrival = np.argsort(index)
     delays = np.empty_like(stamps)
     delays[arrival] = stamps[arrival] - _without_jumps(log_ns[index[arrival]])

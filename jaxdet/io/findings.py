@@ -208,6 +208,7 @@ def _find_poses(
                 one.log_ns,
                 one.num_first,
                 clocks[0].shifts_ns,
+                one.values,
             )
             for name, one in samples.items()
         ]
