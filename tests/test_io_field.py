@@ -806,6 +806,18 @@ def test_duplicates_that_begin_late_in_a_recording_count_once(tmp_path, aligned,
     assert frames == len(expected) == 24
 
 
+@pytest.mark.parametrize("seconds", [3, -3])
+def test_poses_that_another_recorder_recorded_have_no_offset(tmp_path, aligned, seconds):
+    """Only the log times of the poses are from another clock."""
+
+    def change(message: Message) -> None:
+        if message.topic in ("/tf", "/odom"):
+            message.log_ns += seconds * SECOND
+
+    with opened(tmp_path, aligned) as whole, opened(tmp_path, changed(aligned, change)) as log:
+        same(log.T_world_camera, whole.T_world_camera)
+
+
 @pytest.mark.parametrize("topics", [("/tf", "/odom"), ("/camera/camera/aligned",)])
 @pytest.mark.parametrize("later_s", [0.7, 2.0])
 def test_offsets_of_clocks_are_estimated_in_a_merged_recording(tmp_path, aligned, topics, later_s):

@@ -167,8 +167,8 @@ def complete(
             "no frame has a pose: the timestamps of the poses are from another time or clock"
         )
     elif has_poses and (lacking := frames - notes.poses) > _FEW * frames:
-        text = f"{lacking} of {frames} frames have no pose; see --log.world-frame and --log.odom"
-        warnings.append(text)
+        text = f"{lacking} of {frames} frames have no pose; see --log.world-frame, --log.odom and "
+        warnings.append(f"{text}--log.pose-offset-s")
     return about._replace(
         num_poses=notes.poses,
         pairing=pairing,

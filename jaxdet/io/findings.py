@@ -197,40 +197,12 @@ def _find_poses(
         frame = calibrated.color_frame
         T_frame_camera = motion.T if T_frame_camera is None else matmul(T_frame_camera, motion.T)
 
-    def with_poses(source: PoseSource) -> IndexedFrames:
-        if not source.known:
-            return frames._replace(source=source)
-        samples = frames.motions.samples(source)
-        read = [
-            read_clock(
-                source.topic or contents.tree.topic(name),
-                one.stamps_ns,
-                one.log_ns,
-                one.num_first,
-                clocks[0].shifts_ns,
-                one.values,
-            )
-            for name, one in samples.items()
-        ]
-        texts = {clock.topic: clock.text for clock in read if clock.text}
-        motions = frames.motions
-        if texts:
-            if not motions.whole:
-                problem = "a clock was adjusted during the recording"
-                raise RescanError(problem, path=contents.path, topic=next(iter(texts)))
-            pairs = zip(samples.items(), read, strict=True)
-            moved = {name: one.with_stamps(clock.stamps_ns) for (name, one), clock in pairs}
-            motions = motions.with_samples(moved)
-        offset = pose_offset(options, clocks, read)
-        warnings = (*source.warnings, *texts.values(), *filter(None, [offset.text]))
-        source = source._replace(offset_ns=offset.ns, warnings=warnings)
-        return frames._replace(source=source, motions=motions)
-
     base = find_base(contents, options, frame)
     *sources, last = pose_sources(contents, options, choice.depth, frame, base.frame)
     found, most = None, 0.0
-    for one in map(with_poses, sources):
-        share = _share_known(one._replace(color=None), log.is_complete)
+    for source in sources:
+        one = _with_poses(frames, source, clocks, options, log.is_complete)
+        share = _share_known(one, log.is_complete)
         if share > most:
             text = one.source.text
             if found:
@@ -238,13 +210,38 @@ def _find_poses(
             found, most = one._replace(source=one.source._replace(text=text)), share
         if most >= _ENOUGH:
             break
-    found = found or with_poses(last)
+    found = found or _with_poses(frames, last, clocks, options, log.is_complete)
     poses = found.source
     if T_frame_camera is not None and base.T_base_camera is not None:
         base = base._replace(T_base_camera=matmul(base.T_base_camera, T_frame_camera))
     if calibrated.camera_frame not in (frame, *known):
         poses = poses._replace(text=poses.text.replace("poses: TF", "poses: turned, TF"))
     return base, found._replace(source=poses._replace(T_frame_camera=T_frame_camera))
+
+
+def _with_poses(
+    frames: IndexedFrames,
+    source: PoseSource,
+    clocks: Sequence[Clock],
+    options: LogOptions,
+    is_complete: bool,
+) -> IndexedFrames:
+    """Return the frames with poses from a source; ``clocks`` are those of depth and colour.
+
+    Raises:
+        RescanError: The first messages show that all messages must be read.
+    """
+    motions, own = frames.motions.on_clock(source, clocks[0].shifts_ns)
+    texts = {clock.topic: clock.text for clock in own if clock.text}
+    source = source._replace(warnings=(*source.warnings, *texts.values()))
+    without = frames._replace(source=source, motions=motions)
+    offset = pose_offset(options, clocks, own) if source.known else Offset()
+    warnings = (*source.warnings, *filter(None, [offset.text]))
+    found = without._replace(source=source._replace(offset_ns=offset.ns, warnings=warnings))
+    # If the poses were only recorded by another clock, fewer frames have one with the offset.
+    is_measured = offset.ns and offset.text
+    shares = [_share_known(one, is_complete) for one in (without, found) if is_measured]
+    return without if shares and shares[0] > shares[1] else found
 
 
 def _share_known(frames: IndexedFrames, is_complete: bool) -> float:
@@ -256,7 +253,7 @@ def _share_known(frames: IndexedFrames, is_complete: bool) -> float:
     Raises:
         RescanError: No sampled frame has a pose, and not all messages were read.
     """
-    count = frames.num_frames
+    frames, count = frames._replace(color=None), frames.num_frames
     sample = np.unique(np.linspace(0, count - 1, _POSE_SAMPLE).astype(np.int64)).tolist()
     share = float(np.mean([frames.window(i, i + 1).notes.poses for i in sample]))
     if share or len(sample) == count:

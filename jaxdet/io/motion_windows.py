@@ -6,13 +6,14 @@ messages and an even sample, and each window checks that its messages have the s
 """
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from typing import Any
 
 import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
+from jaxdet.io.clocks import Clock, read_clock
 from jaxdet.io.contents import LogContents
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.file_index import IndexedMessages, Place
@@ -65,19 +66,39 @@ class MotionWindows:
         found._tree, found._decoded = tree, OrderedDict()
         return found
 
-    def samples(self, source: PoseSource) -> dict[str, MotionSamples]:
-        """Return the samples of the poses, by frame or topic, from the messages read at opening."""
+    def on_clock(
+        self, source: PoseSource, shifts_ns: Sequence[int]
+    ) -> tuple["MotionWindows", list[Clock]]:
+        """Return a copy without the adjustments of the clocks of the poses, and these clocks.
+
+        Args:
+            source: Source of the poses.
+            shifts_ns: Shifts of depth, see :func:`jaxdet.io.clocks.read_clock`.
+
+        Raises:
+            RescanError: A clock was adjusted, and not all messages were read.
+        """
+        samples = self._first_samples(source)
+        clocks = []
+        for name, one in samples.items():
+            topic, times = source.topic or self._tree.topic(name), (one.stamps_ns, one.log_ns)
+            clocks.append(read_clock(topic, *times, one.num_first, shifts_ns, one.values))
+        if not any(clock.text for clock in clocks):
+            return self, clocks
+        if not self.whole:
+            raise self._odd("a clock was adjusted during the recording")
+        pairs = zip(samples.items(), clocks, strict=True)
+        moved = {name: one.with_stamps(clock.stamps_ns) for (name, one), clock in pairs}
+        found = copy(self)
+        found._tree, found._tracks = self._tree.with_samples(moved), {**self._tracks, **moved}
+        return found, clocks
+
+    def _first_samples(self, source: PoseSource) -> dict[str, MotionSamples]:
+        """Return the samples from the messages read at opening, by moving frame or topic."""
         return {
             name: self._tracks[name] if source.topic else self._tree.samples(name)
-            for name in source.moving(self._tree)
+            for name in (source.moving(self._tree) if source.known else ())
         }
-
-    def with_samples(self, samples: Mapping[str, MotionSamples]) -> "MotionWindows":
-        """Return a copy with these samples, by frame or topic; all messages were read."""
-        found = copy(self)
-        found._tree = self._tree.with_samples(samples)
-        found._tracks = {**self._tracks, **samples}
-        return found
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without the cache of decoded messages."""
@@ -102,7 +123,7 @@ class MotionWindows:
         chunks = self._messages.chunks(own)
         if self.whole:
             return source.at(stamps_ns, self._tree, self._tracks), chunks
-        known = self.samples(source) if source.known else {}
+        known = self._first_samples(source)
         moving = list(known)
         delays = np.concatenate([_NONE, *(one.stamps_ns - one.log_ns for one in known.values())])
         low, high = 0, 0
