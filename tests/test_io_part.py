@@ -11,8 +11,7 @@ from mcap.reader import make_reader
 from jaxdet.errors import ConfigError, InputError, RescanError
 from jaxdet.io import LogOptions
 from jaxdet.io import open_log as open_only
-from jaxdet.io.moments import Moment, parse_moment
-from jaxdet.io.part import find_part
+from jaxdet.io.moments import Moment, find_part, parse_moment
 from tests.io_both_ways import assert_same_batch, is_indexed, scanning
 from tests.io_helpers import (
     COLOR,

@@ -68,6 +68,8 @@ class Offset(NamedTuple):
     ns: int = 0
     text: str = ""
     """Note for the user; empty if there is nothing to report."""
+    is_warning: bool = False
+    """Whether the text is a warning, not a note."""
 
 
 class Clock(NamedTuple):
@@ -162,14 +164,18 @@ def color_offset(options: LogOptions, depth: Clock, color: Clock) -> Offset:
     """Return the offset of the timestamps of colour relative to depth.
 
     The offset is 0 if the timestamps of both agree: if log times differ, one topic was only written
-    later.
+    later. This is reported.
     """
-    if options.color_offset_s is not None:
-        return Offset(round(options.color_offset_s * 1e9))
-    if color.topic == depth.topic or _stamps_agree(depth, color):
-        return Offset()
-    found = _difference(color.delays_ns, depth.delays_ns).offset_ns
-    return Offset(found, _text(color.topic, found, "--log.color-offset-s")) if found else Offset()
+    found, given = _difference(color.delays_ns, depth.delays_ns), options.color_offset_s
+    if given is None and not _stamps_agree(depth, color):
+        ns = found.offset_ns
+        return Offset(ns, _text(color.topic, ns, "--log.color-offset-s")) if ns else Offset()
+    ns = round((given or 0) * 1e9)
+    if abs(found.ns - ns) <= LEAST_NS:
+        return Offset(ns)
+    text = f"{printable(color.topic)}: colour and depth images with equal timestamps were recorded "
+    text += f"{abs(found.ns - ns) / 1e9:.1f} s apart (median); if their timestamps are from two "
+    return Offset(ns, f"{text}clocks, pictures show colour of another time", is_warning=True)
 
 
 def pose_offset(options: LogOptions, images: Sequence[Clock], sources: Sequence[Clock]) -> Offset:

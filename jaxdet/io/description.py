@@ -16,9 +16,6 @@ _SLOW_S = 0.05
 """Time between a frame and its colour image above which the pairing is reported [s]."""
 _FEW = 0.1
 """Fraction of frames without a pose above which their number is reported."""
-_TWO_CLOCKS_S = 0.5
-"""Difference of log times minus difference of timestamps, of a frame and its colour image, above
-which two clocks are suspected [s]."""
 
 
 class TopicDescription(NamedTuple):
@@ -150,13 +147,6 @@ def complete(
         (counts.undecodable, "messages can't be decoded"),
     )
     warnings += [f"{topic}: {count} {text}" for count, text in texts if count]
-    later = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
-    if len(later) and (seconds := float(np.median(later))) > _TWO_CLOCKS_S:
-        warnings.append(
-            "colour and depth images with equal timestamps were recorded "
-            f"{seconds:.1f} s apart (median); "
-            "if their timestamps are from two clocks, pictures show colour of another time"
-        )
     more = []
     has_color = any("color" in item.chosen_as.split() for item in about.topics)
     if has_color and (pairing.num_with_color < pairing.num_frames or pairing.max_dt_s > _SLOW_S):

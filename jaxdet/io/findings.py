@@ -64,6 +64,8 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
     frames, clocks, warnings = _frames(log, contents, choice, calibrated, options)
     of_color = color_offset(options, clocks[0], clocks[-1]) if frames.color else Offset()
     frames = frames._replace(color_offset_ns=of_color.ns)
+    notes = list[str]()
+    (warnings if of_color.is_warning else notes).append(of_color.text)
     base, frames = _find_poses(log, contents, choice, calibrated, options, frames, clocks)
     poses = frames.source
     frames_used = {calibrated.tf_frame, calibrated.color_frame, base.frame or "", poses.world}
@@ -78,8 +80,8 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
         calibrated,
         base,
         frames,
-        (*contents.tree.warnings, *warnings),
-        tuple(filter(None, (of_color.text, choice.note))),
+        (*contents.tree.warnings, *filter(None, warnings)),
+        tuple(filter(None, (*notes, choice.note))),
     )
 
 

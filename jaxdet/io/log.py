@@ -20,8 +20,8 @@ from jaxdet.io.contents import LogContents
 from jaxdet.io.description import LogDescription, complete, describe, with_bad_color
 from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
+from jaxdet.io.moments import find_part
 from jaxdet.io.options import LogOptions
-from jaxdet.io.part import find_part
 from jaxdet.io.reading import Failures, ImageReader
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.timeline import Notes, Window, total
