@@ -83,7 +83,7 @@ class Clock(NamedTuple):
     shifts_ns: tuple[int, ...] = ()
     """Time by which each group of timestamps was moved [ns]."""
     text: str = ""
-    """Warning for the user; empty if no timestamp was moved."""
+    """Warning for the user; empty if no timestamp was moved, or only as on another topic."""
 
 
 def read_clock(
@@ -141,8 +141,12 @@ def read_clock(
     found[unset] = log_ns[unset] + levels[right]
     first = arrival[np.isin(arrival, groups[right])][: int((index < num_first).sum())]
     text = f"{printable(topic)}: of {len(stamps_ns)} timestamps, {' and '.join(texts)}, by the log "
-    text += "times: its clock was set or adjusted during the recording; these timestamps are moved"
-    return Clock(topic, found, delays[first], tuple(shifts), text if shifts else "")
+    text += (
+        "times: its clock was set or adjusted during the recording; these timestamps are moved, "
+    )
+    text += "as are those of other topics with this clock"
+    is_new = not set(shifts) <= set(shifts_ns)
+    return Clock(topic, found, delays[first], tuple(shifts), text if is_new else "")
 
 
 def jumps(log_ns: np.ndarray) -> np.ndarray:

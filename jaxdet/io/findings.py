@@ -162,7 +162,7 @@ def _check_stamps(log: IndexedLog, clock: Clock) -> None:
         raise RescanError("the first header timestamps are zero", path=path, topic=topic)
     if may_repeat(log.contents.streams[topic], log.streams[topic].messages.log_ns):
         raise RescanError("images may occur twice", path=path, topic=topic)
-    if clock.text:
+    if clock.shifts_ns:
         raise RescanError("the first header timestamps are of two clocks", path=path, topic=topic)
     log.streams[topic].check_clock()
 

@@ -83,7 +83,7 @@ class MotionWindows:
         for name, one in samples.items():
             topic, times = source.topic or self._tree.topic(name), (one.stamps_ns, one.log_ns)
             clocks.append(read_clock(topic, *times, one.num_first, shifts_ns, one.values))
-        if not any(clock.text for clock in clocks):
+        if not any(clock.shifts_ns for clock in clocks):
             return self, clocks
         if not self.whole:
             raise self._odd("a clock was adjusted during the recording")
