@@ -149,6 +149,31 @@ def test_odometry_comes_from_the_robot_of_the_camera(tmp_path, aligned, prefix):
         assert not log.has_poses
 
 
+@pytest.mark.parametrize("other", ["/tf_wheel", "/a_tf", "/tf_ekf/tf"])
+@pytest.mark.parametrize("ahead_m", [0.0, 1.0])
+def test_a_moving_frame_on_two_topics_is_used_from_the_one_of_the_robot(
+    tmp_path, aligned, other, ahead_m
+):
+    """The other topic has its messages shortly before or after those of ``/tf``."""
+
+    def elsewhere(message: Message) -> list[Message] | None:
+        if message.topic != "/tf":
+            return []
+        message.topic = other
+        message.log_ns += -5_000_000 if other == "/a_tf" and ahead_m else 5_000_000
+        message.delay(5_000_000 if ahead_m else 0)
+        message.body["transforms"][0]["transform"]["translation"]["x"] += ahead_m
+        return None
+
+    with (
+        opened(tmp_path, aligned) as whole,
+        opened(tmp_path, aligned + changed(aligned, elsewhere)) as log,
+    ):
+        same(log.T_world_camera, whole.T_world_camera)
+        texts = [text for text in log.description.warnings if other in text and "/tf" in text]
+        assert bool(texts) == (ahead_m > 0 and "/" not in other[1:])
+
+
 def test_a_tf_frame_with_parents_on_two_topics_is_an_error_that_names_both(tmp_path, aligned):
     def elsewhere(message: Message) -> list[Message] | None:
         if message.topic != "/tf_static":

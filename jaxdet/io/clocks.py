@@ -140,11 +140,9 @@ def read_clock(
     unset = (stamps_ns == 0) & (found != 0)
     found[unset] = log_ns[unset] + levels[right]
     first = arrival[np.isin(arrival, groups[right])][: int((index < num_first).sum())]
-    text = f"{printable(topic)}: of {len(stamps_ns)} timestamps, {' and '.join(texts)}, by the log "
-    text += (
-        "times: its clock was set or adjusted during the recording; these timestamps are moved, "
-    )
-    text += "as are those of other topics with this clock"
+    which = f"{printable(topic)}: of {len(stamps_ns)} timestamps, {' and '.join(texts)}"
+    text = f"{which}, by the log times: its clock was set or adjusted during the recording; these "
+    text += "timestamps are moved, as are those of other topics with this clock"
     is_new = not set(shifts) <= set(shifts_ns)
     return Clock(topic, found, delays[first], tuple(shifts), text if is_new else "")
 

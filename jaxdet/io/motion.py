@@ -66,10 +66,11 @@ class MotionSamples:
         values = self.values
         return len(values) > 1 and bool(np.allclose(values, values[0], rtol=0, atol=1e-9))
 
-    def is_like_first(self, message: TransformMessage) -> bool:
-        """Return whether a transform equals the first sample."""
+    def is_like(self, message: TransformMessage, number: int) -> bool:
+        """Return whether a transform equals the sample with this number; -1: the last sample."""
         value = np.array([*message.translation, *message.rotation])
-        return bool(np.allclose(value, self._values[:7], rtol=0, atol=1e-9))
+        known = self._values[7 * number : 7 * number + 7 or None]
+        return bool(np.allclose(value, known, rtol=0, atol=1e-9))
 
     @property
     def stamps_ns(self) -> np.ndarray:
