@@ -95,6 +95,32 @@ def test_an_offset_of_poses_that_is_not_corrected_is_a_warning_if_it_exceeds_the
             assert (bool(warned), bool(corrected)) == expected, texts
 
 
+@pytest.mark.parametrize("late", [COLOR, "/odom"])
+def test_a_topic_with_the_timestamps_of_depth_that_is_recorded_late_has_no_offset(
+    tmp_path: Path, late: str
+) -> None:
+    """Visual odometry, for instance, has the timestamps of the images and is computed late."""
+    scene, unturned = make_scene(3), (0, 0, 0, 1)
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log)
+        log.ros("/tf_static", ros_tf(("base_link", DEPTH_FRAME, (0, 0, 0.3), unturned)), START)
+        for number in range(30):
+            at = START + number * SECOND // 10
+            times = {name: at + SECOND * (name == late) for name in (DEPTH, COLOR, "/odom")}
+            images = scene.depth[number % 3], scene.color[number % 3]
+            log.ros(DEPTH, ros_image(images[0], "16UC1", at, DEPTH_FRAME), times[DEPTH])
+            log.ros(COLOR, ros_image(images[1], "rgb8", at, COLOR_FRAME), times[COLOR])
+            pose = "odom", "base_link", (number, 0, 0), unturned
+            log.ros("/odom", ros_odometry(*pose, at), times["/odom"])
+    for scan in (False, True):
+        with open_log(str(tmp_path / "x.mcap"), LogOptions(scan=scan)) as found:
+            np.testing.assert_array_equal(found.color_stamps_ns, found.stamps_ns)
+            assert found.T_world_camera is not None
+            np.testing.assert_allclose(np.diff(found.T_world_camera[:, 0, 3]), 1)
+            [text] = found.description.warnings
+            assert text.startswith(late) and "equal timestamps were recorded 1.0 s apart" in text
+
+
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
     """Return messages of a simulated log with aligned depth."""

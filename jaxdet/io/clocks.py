@@ -15,7 +15,6 @@ import numpy as np
 
 from jaxdet.errors import printable
 from jaxdet.io.moments import EPOCH, MICROSECOND
-from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import NUM_PROBES
 
 LEAST_NS = 500_000_000
@@ -68,8 +67,6 @@ class Offset(NamedTuple):
     ns: int = 0
     text: str = ""
     """Note for the user; empty if there is nothing to report."""
-    is_warning: bool = False
-    """Whether the text is a warning, not a note."""
 
 
 class Clock(NamedTuple):
@@ -162,39 +159,25 @@ def jumps(log_ns: np.ndarray) -> np.ndarray:
     return (steps < -LEAST_NS) | (steps > _YEAR_NS)
 
 
-def color_offset(options: LogOptions, depth: Clock, color: Clock) -> Offset:
-    """Return the offset of the timestamps of colour relative to depth.
+def find_offset(
+    given_s: float | None, flag: str, images: Sequence[Clock], sources: Sequence[Clock]
+) -> Offset:
+    """Return the offset of the timestamps of colour or poses relative to depth.
 
     The offset is 0 if the timestamps of both agree: if log times differ, one topic was only written
-    later. This is reported.
-    """
-    found, given = _difference(color.delays_ns, depth.delays_ns), options.color_offset_s
-    if given is None and not _stamps_agree(depth, color):
-        ns = found.offset_ns
-        return Offset(ns, _text(color.topic, ns, "--log.color-offset-s")) if ns else Offset()
-    ns = round((given or 0) * 1e9)
-    if abs(found.ns - ns) <= LEAST_NS:
-        return Offset(ns)
-    text = f"{printable(color.topic)}: colour and depth images with equal timestamps were recorded "
-    text += f"{abs(found.ns - ns) / 1e9:.1f} s apart (median); if their timestamps are from two "
-    return Offset(ns, f"{text}clocks, pictures show colour of another time", is_warning=True)
-
-
-def pose_offset(options: LogOptions, images: Sequence[Clock], sources: Sequence[Clock]) -> Offset:
-    """Return the offset of the timestamps of poses relative to depth.
-
-    A difference that is too small for a correction, but not explained by latency and jitter, is
-    only reported: log times don't show whether a clock is wrong or poses were computed late.
+    later. A difference that is too small for a correction, but not explained by latency and jitter,
+    is only reported: log times don't show whether a clock is wrong or messages were published late.
 
     Args:
-        options: Options of the user.
-        images: Clocks of depth, and of colour if the log has it.
-        sources: Clock of each moving transform, or of the pose topic. The offset is 0 if one of
-            them may have the clock of depth; others may be future-dated.
+        given_s: Offset from the options [s].
+        flag: Name of the option.
+        images: Clocks of depth, and of other images if their timestamps may agree.
+        sources: Clock of colour, of the pose topic, or of each moving transform. The offset is 0 if
+            one of them may have the clock of depth; others may be future-dated.
     """
-    if options.pose_offset_s is not None:
-        return Offset(round(options.pose_offset_s * 1e9))
-    # If the stamps agree but only depth differs from the poses, depth was written later.
+    if given_s is not None:
+        return Offset(round(given_s * 1e9))
+    # If the stamps agree but only depth differs from the others, depth was written later.
     images = [images[0], *(one for one in images[1:] if _stamps_agree(images[0], one))]
     sources = [one for one in sources if len(one.delays_ns)]
     found = [[_difference(one.delays_ns, two.delays_ns) for one in sources] for two in images]
@@ -202,10 +185,12 @@ def pose_offset(options: LogOptions, images: Sequence[Clock], sources: Sequence[
     if not every or not all(one.is_doubtful for one in every):
         return Offset()
     clock, least = min(zip(sources, found[0], strict=True), key=lambda item: abs(item[1].ns))
+    if any(_stamps_agree(images[0], one) for one in sources):
+        return Offset(0, _late(clock.topic, least) if abs(least.ns) > LEAST_NS else "")
     if not all(one.offset_ns for one in every):
         known = min(one.num_delays for one in every) >= _FEW_DELAYS
-        return Offset(0, _doubt(clock.topic, least)) if known else Offset()
-    return Offset(least.ns, _text(clock.topic, least.ns, "--log.pose-offset-s"))
+        return Offset(0, _doubt(clock.topic, least, flag) if known else "")
+    return Offset(least.ns, _text(clock.topic, least.ns, flag))
 
 
 def _without_jumps(log_ns: np.ndarray) -> np.ndarray:
@@ -266,12 +251,17 @@ def _text(topic: str, offset_ns: int, flag: str) -> str:
     return f"{text}; this is corrected ({flag} 0 disables the correction)"
 
 
-def _doubt(topic: str, found: _Difference) -> str:
+def _doubt(topic: str, found: _Difference, flag: str) -> str:
     """Return the warning about a difference that is not corrected."""
     way, error_s = "ahead of" if found.ns > 0 else "behind", _SIGMAS * found.error_ns / 1e9
     text = f"{printable(topic)}: by the log times, its timestamps are {abs(found.ns) / 1e9:.2f} s "
-    text += (
-        f"{way} depth's (within {error_s:.2f} s by their jitter), which is not corrected; if its "
-    )
-    text += f"clock differs, pass --log.pose-offset-s {found.ns / 1e9:.2f}, or 0 if poses are only "
+    text += f"{way} depth's (within {error_s:.2f} s by their jitter), which is not corrected; if "
+    text += f"its clock differs, pass {flag} {found.ns / 1e9:.2f}, or 0 if its messages are only "
     return f"{text}published early or late"
+
+
+def _late(topic: str, found: _Difference) -> str:
+    """Return the warning about a topic whose timestamps agree with those of depth."""
+    text = f"{printable(topic)}: its messages and depth images with equal timestamps were recorded "
+    text += f"{abs(found.ns) / 1e9:.1f} s apart (median); if their timestamps are from two clocks, "
+    return f"{text}messages of another time are used"

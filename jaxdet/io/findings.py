@@ -9,7 +9,7 @@ from jaxdet.elementary import matmul
 from jaxdet.errors import JaxdetError, RescanError, TransformError, printable
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
-from jaxdet.io.clocks import Clock, Offset, color_offset, pose_offset, read_clock
+from jaxdet.io.clocks import Clock, find_offset, read_clock
 from jaxdet.io.contents import LogContents
 from jaxdet.io.indexed import IndexedLog, may_repeat
 from jaxdet.io.options import LogOptions
@@ -62,10 +62,11 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
     if calibrated.color_error is not None:
         check_sampled(log, calibrated.color_error)
     frames, clocks, warnings = _frames(log, contents, choice, calibrated, options)
-    of_color = color_offset(options, clocks[0], clocks[-1]) if frames.color else Offset()
+    given = options.color_offset_s, "--log.color-offset-s"
+    of_color = find_offset(*given, clocks[:1], clocks[1:])
     frames = frames._replace(color_offset_ns=of_color.ns)
-    notes = list[str]()
-    (warnings if of_color.is_warning else notes).append(of_color.text)
+    warnings.append("" if of_color.ns else of_color.text)
+    notes = of_color.text if of_color.ns else "", choice.note
     base, frames = _find_poses(log, contents, choice, calibrated, options, frames, clocks)
     poses = frames.source
     frames_used = {calibrated.tf_frame, calibrated.color_frame, base.frame or "", poses.world}
@@ -81,7 +82,7 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
         base,
         frames,
         (*contents.tree.warnings, *filter(None, warnings)),
-        tuple(filter(None, (*notes, choice.note))),
+        tuple(filter(None, notes)),
     )
 
 
@@ -237,7 +238,7 @@ def _with_poses(
     texts = {clock.topic: clock.text for clock in own if clock.text}
     source = source._replace(warnings=(*source.warnings, *texts.values()))
     without = frames._replace(source=source, motions=motions)
-    offset = pose_offset(options, clocks, own) if source.known else Offset()
+    offset = find_offset(options.pose_offset_s, "--log.pose-offset-s", clocks, own)
     warnings = (*source.warnings, *filter(None, [offset.text]))
     found = without._replace(source=source._replace(offset_ns=offset.ns, warnings=warnings))
     # If the poses were only recorded by another clock, fewer frames have one with the offset.
