@@ -112,12 +112,8 @@ def find_logs(
         if note:
             said[found[0].resolve()] = note
     paths = _once(chosen)
-    groups: dict[tuple[Path, str, str], list[Path]] = {}
-    for (_, stem, number, _), path in sorted((_order(path), path) for path in paths):
-        key = path.parent, path.name if number < 0 or not join else _series(stem), path.suffix
-        groups.setdefault(key, []).append(path)
     logs = []
-    for group in groups.values():
+    for group in _grouped(paths, lambda _: join):
         parts = [Recording(tuple(group), "")]
         if len(group) > 1:
             parts = recordings([(_split(path)[1], path) for path in group])
@@ -483,10 +479,14 @@ def listed_recordings(
     """
     found = [path for path in files if _is_recording(path) and not _is_export(path)]
     taken, _ = _preferred(found, lambda *_: False)
-    groups: dict[tuple[PurePath, str, str], list[PurePath]] = {}
-    for path in sorted(taken, key=_order):
+    return _grouped(taken, lambda path: path.name in listed.get(path.parent, ()))
+
+
+def _grouped(files: Iterable[_P], may_join: Callable[[_P], bool]) -> list[list[_P]]:
+    """Return files in order, grouped into the splits of a recording, if they may be joined."""
+    groups: dict[tuple[PurePath, str, str], list[_P]] = {}
+    for path in sorted(files, key=_order):
         stem, number = _split(path)
-        is_split = number >= 0 and path.name in listed.get(path.parent, ())
-        key = path.parent, _series(stem) if is_split else path.name, path.suffix
-        groups.setdefault(key, []).append(path)
+        name = _series(stem) if number >= 0 and may_join(path) else path.name
+        groups.setdefault((path.parent, name, path.suffix), []).append(path)
     return [*groups.values()]

@@ -295,15 +295,6 @@ class IndexedFrames(NamedTuple):
         """
         return int(self.depth.stamp[self.depth.ranked(number, number + 1)[0]])
 
-    def log_ns(self, number: int) -> int:
-        """Return the log time of a frame [ns].
-
-        Raises:
-            RescanError: The index is not sufficient.
-            DamageError: The file contradicts its index.
-        """
-        return int(self.depth.messages.log_ns[self.depth.ranked(number, number + 1)[0]])
-
     def window(self, start: int, stop: int) -> Window:
         """Return the frames from ``start`` to ``stop``, exclusive.
 
