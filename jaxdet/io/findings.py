@@ -121,7 +121,7 @@ def _frames(
         elif topic in zero or (zero and clocks[1:]):
             streams[topic] = stream.complete(stream.messages.log_ns)
         else:
-            warnings += [clock.text] * bool(clock.text)
+            warnings.append(clock.text)
             ranks = np.argsort(stream.in_file_order())
             streams[topic] = stream.complete(clock.stamps_ns[ranks])
     depth, color = streams[choice.depth], streams[choice.color] if calibrated.has_color else None
