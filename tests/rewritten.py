@@ -70,11 +70,11 @@ def read_messages(path: Path) -> list[Message]:
     return found
 
 
-def write_messages(path: Path, messages: Iterable[Message]) -> Path:
-    """Write a log, in the order of log times."""
+def write_messages(path: Path, messages: Iterable[Message], *, ordered: bool = True) -> Path:
+    """Write a log, in the order of log times or, if not ``ordered``, of the messages."""
     with path.open("wb") as file:
         writer, schemas = Writer(file), {}
-        for m in sorted(messages, key=lambda item: item.log_ns):
+        for m in sorted(messages, key=lambda item: item.log_ns) if ordered else messages:
             if m.kind not in schemas:
                 assert m.kind in DEFINITIONS
                 name = m.kind.replace("/", "/msg/")

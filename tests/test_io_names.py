@@ -11,7 +11,7 @@ import pytest
 
 from jaxdet.errors import InputError, TopicError
 from jaxdet.io import LogFiles, LogOptions, files, find_logs, open_log
-from jaxdet.io.files import missing_splits, siblings
+from jaxdet.io.files import listed_recordings, missing_splits, siblings
 from jaxdet.io.splits import Signature, signature
 from tests.io_helpers import (
     COLOR_FRAME,
@@ -360,3 +360,22 @@ def test_control_characters_in_topic_names_are_escaped(tmp_path):
     with pytest.raises(TopicError) as caught:
         open_log(str(tmp_path / "x.mcap"))
     assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("names", "logs"),
+    [
+        ("drive.bag drive.mcap drive.db3", "drive.mcap"),
+        ("drive_0.db3 drive_1.db3 drive.mcap", "drive.mcap"),
+        ("drive.bag drive_0.mcap drive_1.mcap", "drive_0.mcap drive_1.mcap"),
+        ("drive_0.db3 drive_1.db3 drive_0.mcap", "drive_0.mcap drive_1.db3"),
+        ("drive_0.db3.zstd drive_0.db3 drive_1.mcap", "drive_0.db3 drive_1.mcap"),
+        ("a_0.bag b_0.mcap", "a_0.bag b_0.mcap"),
+    ],
+)
+def test_a_bucket_and_a_folder_prefer_the_same_files(tmp_path, names, logs):
+    for name in names.split():
+        (tmp_path / name).touch()
+    found = [path.name for log in find_logs(tmp_path) for path in log.paths]
+    listed = listed_recordings([tmp_path / name for name in names.split()], {})
+    assert sorted(found) == sorted(path.name for item in listed for path in item) == logs.split()

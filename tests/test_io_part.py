@@ -11,8 +11,7 @@ from mcap.reader import make_reader
 from jaxdet.errors import ConfigError, InputError, RescanError
 from jaxdet.io import LogOptions
 from jaxdet.io import open_log as open_only
-from jaxdet.io.moments import Moment, parse_moment
-from jaxdet.io.part import find_part
+from jaxdet.io.moments import Moment, find_part, parse_moment
 from tests.io_both_ways import assert_same_batch, is_indexed, scanning
 from tests.io_helpers import (
     COLOR,
@@ -179,22 +178,23 @@ def test_a_clock_that_steps_back_is_noticed(tmp_path, compression, topic):
 
 @pytest.mark.parametrize("scan", [False, True])
 @pytest.mark.parametrize("zero", [0, 40])
-def test_seconds_count_from_the_first_valid_timestamp(tmp_path, scan, zero):
+def test_a_timestamp_of_zero_is_replaced_by_the_log_time(tmp_path, scan, zero):
     scene = make_scene(FRAMES)
-    scene.depth_ns[zero] = 0
+    expected, scene.depth_ns[zero] = scene.depth_ns.copy(), 0
     with LogFile(tmp_path / "log.mcap") as file:
         write_calibration(file)
         sender = Sender(file)
         for i, (at, depth_at) in enumerate(zip(scene.color_ns, scene.depth_ns, strict=True)):
             sender.image(DEPTH, i, int(depth_at), START + i * PERIOD_NS)
             sender.image(COLOR, i, int(at), START + i * PERIOD_NS)
-    begin = int(scene.depth_ns[1 if zero == 0 else 0])
-    stamps = np.sort(scene.depth_ns)
     options = LogOptions(start="1.5", scan=scan)
     with open_only(str(tmp_path / "log.mcap"), options) as log:
-        wanted = np.flatnonzero(stamps >= begin + 3 * SECOND // 2)
+        wanted = np.flatnonzero(expected >= expected[0] + 3 * SECOND // 2)
         assert list(log.frames) == wanted.tolist()
-        assert log.description.duration_s == (stamps[-1] - begin) / 1e9
+        assert log.description.duration_s == np.ptp(expected) / 1e9
+        np.testing.assert_array_equal(log.stamps_ns, expected)
+        text = f"{DEPTH}: of {FRAMES} timestamps, 1 is zero, by the log times"
+        assert any(text in item for item in log.description.warnings)
 
 
 def test_the_search_for_a_time_reads_few_frames():

@@ -130,7 +130,8 @@ def test_the_world_is_a_frame_in_which_poses_are_known(tmp_path, first, world, l
         assert log.world_frame == world and log.T_world_camera is not None
         assert np.isnan(log.T_world_camera[:, 0, 0]).sum() == lacking
         warnings = log.described(next(log.batches(20)).notes).warnings
-    warning = f"{lacking} of 20 frames have no pose; see --log.world-frame and --log.odom"
+    warning = f"{lacking} of 20 frames have no pose; see --log.world-frame, --log.odom and "
+    warning += "--log.pose-offset-s"
     assert (warning in warnings) == (lacking > 0)
     for part in ({"start": "0.6"}, {"stop": "0.2"}, {"every": 7}):
         with open_log(path, LogOptions(**part)) as log:

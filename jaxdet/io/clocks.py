@@ -1,26 +1,25 @@
-"""Clocks of a log: offsets between the timestamps of its topics, and the start of its time axis.
+"""Clocks of a log: adjustments of a topic's clock, and offsets between the clocks of two topics.
 
-Messages that arrive together were measured together. The offset between the clocks of two topics is
-therefore the difference of their median delays, i.e. of header timestamp minus log time.
+Messages that arrive together were measured together. The delays of a topic, i.e. header timestamp
+minus log time, are therefore constant except for latency. If they form groups that are far apart,
+the clock was set or adjusted during the recording. The offset between the clocks of two topics is
+the difference of their median delays.
 """
 
 import math
-from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.errors import printable
-from jaxdet.io.contents import LogContents
 from jaxdet.io.moments import EPOCH, MICROSECOND
-from jaxdet.io.options import LogOptions
-from jaxdet.io.streams import ImageStream
-from jaxdet.io.topics import Choice
+from jaxdet.io.streams import NUM_PROBES
 
-_LEAST_S = 0.5
-"""Minimum offset between different clocks that is corrected [s]. Smaller offsets may also be due to
-images that were delayed, odometry that was computed late, or future-dated transforms."""
+LEAST_NS = 500_000_000
+"""Minimum difference between clocks that is corrected [ns]. Smaller ones may also be due to images
+that were delayed, odometry that was computed late, or future-dated transforms."""
 _LATENCY_S = 0.2
 """Difference of delays [s] that exposure, processing and transport of images explain."""
 _SIGMAS, _SIGMA_OF_MAD, _ERROR_OF_MEDIAN = 3, 1.4826, 1.2533
@@ -33,6 +32,10 @@ _FEW_DELAYS = 5
 """Minimum number of delays from which their spread is estimated."""
 _AGREE_NS = 2_000_000
 """Tolerance for timestamps of the same exposure [ns]."""
+_MAX_GROUPS = 16
+"""Maximum number of groups of delays that are compared; the largest ones are used."""
+_MIN_SHARE = 0.05
+"""Minimum fraction of a topic's timestamps from which on their clock may be the right one."""
 _YEAR_NS = 365 * 24 * 3600 * 1_000_000_000
 
 
@@ -50,7 +53,7 @@ class _Difference(NamedTuple):
     @property
     def offset_ns(self) -> int:
         """Offset between two clocks [ns]; 0 if it may be the same clock."""
-        return self.ns if self.is_steady and abs(self.ns) > _LEAST_S * 1e9 else 0
+        return self.ns if self.is_steady and abs(self.ns) > LEAST_NS else 0
 
     @property
     def is_doubtful(self) -> bool:
@@ -66,105 +69,156 @@ class Offset(NamedTuple):
     """Note for the user; empty if there is nothing to report."""
 
 
-def color_offset(
-    contents: LogContents, options: LogOptions, choice: Choice, last_delay_ns: int
+class Clock(NamedTuple):
+    """Timestamps of a topic, without the adjustments of its clock."""
+
+    topic: str
+    stamps_ns: np.ndarray
+    """Timestamps in order of arrival, ``(N,)`` int64 [ns]."""
+    delays_ns: np.ndarray
+    """First delays of the messages whose timestamps are unchanged, ``(M,)`` int64 [ns]."""
+    shifts_ns: tuple[int, ...] = ()
+    """Time by which each group of timestamps was moved [ns]."""
+    text: str = ""
+    """Warning for the user; empty if no timestamp was moved, or only as on another topic."""
+
+
+def read_clock(
+    topic: str,
+    stamps_ns: np.ndarray,
+    log_ns: np.ndarray,
+    num_first: int,
+    shifts_ns: Sequence[int] = (),
+    content: np.ndarray | None = None,
+) -> Clock:
+    """Return the timestamps of a topic as if its clock had never been set or adjusted.
+
+    The timestamps whose delays are closest to 0 are right. Other groups of delays are moved to them
+    if this makes the intervals between timestamps more even; otherwise the messages were recorded
+    late, or the log times are wrong. Timestamps of zero are replaced by log times.
+
+    Args:
+        topic: Name of the topic.
+        stamps_ns: Header timestamps in order of arrival, ``(N,)`` int64 [ns].
+        log_ns: Log times ``(N,)`` int64 [ns].
+        num_first: Number of messages whose delays are returned; more are not read by the index.
+        shifts_ns: Shifts of another topic; they are used instead of estimates near them, since all
+            clocks of a robot are usually adjusted together.
+        content: Content of the messages, ``(N, K)``. Messages with equal timestamps and content
+            count once, at their first log time; None: all messages differ.
+    """
+    if not stamps_ns.any():
+        return Clock(topic, stamps_ns, stamps_ns[:0])
+    content = np.arange(len(stamps_ns))[:, None] if content is None else content
+    keys = np.column_stack([stamps_ns, content]) * (stamps_ns != 0)[:, None]
+    _, index, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    stamps, inverse = stamps_ns[index], inverse.reshape(-1)
+    arrival = np.argsort(index)
+    delays = np.empty_like(stamps)
+    delays[arrival] = stamps[arrival] - _without_jumps(log_ns[index[arrival]])
+    order = np.argsort(delays, kind="stable")
+    ends = [*(np.flatnonzero(np.diff(delays[order]) > LEAST_NS) + 1).tolist(), len(order)]
+    groups = [order[begin:end] for begin, end in pairwise([0, *ends])]
+    groups = sorted(groups, key=len, reverse=True)[:_MAX_GROUPS]
+    levels = [int(delays[group[len(group) // 2]]) for group in groups]
+    share = [len(group) >= _MIN_SHARE * len(stamps) for group in groups]
+    right = min(range(len(groups)), key=lambda n: (not share[n], abs(levels[n])))
+    moved, shifts, texts = stamps.copy(), [], []
+    for level, group in zip(levels, groups, strict=True):
+        shift = levels[right] - level
+        shift = next((one for one in shifts_ns if abs(one - shift) <= LEAST_NS), shift)
+        trial = moved.copy()
+        trial[group] += shift
+        if shift and _unevenness(moved) - _unevenness(trial) > abs(shift) / 2:
+            moved = trial
+            shifts.append(shift)
+            texts.append(_group_text(stamps_ns[np.isin(inverse, group)], shift))
+    found = moved[inverse]
+    unset = (stamps_ns == 0) & (found != 0)
+    found[unset] = log_ns[unset] + levels[right]
+    first = arrival[np.isin(arrival, groups[right])][: int((index < num_first).sum())]
+    which = f"{printable(topic)}: of {len(stamps_ns)} timestamps, {' and '.join(texts)}"
+    text = f"{which}, by the log times: its clock was set or adjusted during the recording; these "
+    text += "timestamps are moved, as are those of other topics with this clock"
+    is_new = not set(shifts) <= set(shifts_ns)
+    return Clock(topic, found, delays[first], tuple(shifts), text if is_new else "")
+
+
+def jumps(log_ns: np.ndarray) -> np.ndarray:
+    """Return after which of the log times in file order the recorder's clock was adjusted.
+
+    A pause of the recording is not a jump, unless it is longer than a year.
+
+    Args:
+        log_ns: Log times ``(N,)`` int64 [ns].
+
+    Returns:
+        ``(N - 1,)`` bool.
+    """
+    steps = np.diff(log_ns)
+    return (steps < -LEAST_NS) | (steps > _YEAR_NS)
+
+
+def find_offset(
+    given_s: float | None, flag: str, images: Sequence[Clock], sources: Sequence[Clock]
 ) -> Offset:
-    """Return the offset of the timestamps of colour relative to depth.
+    """Return the offset of the timestamps of colour or poses relative to depth.
 
     The offset is 0 if the timestamps of both agree: if log times differ, one topic was only written
-    later. The offset is also 0 if the clock of depth was adjusted during the recording, i.e. if the
-    last depth image has another delay (timestamp minus log time) than the first ones.
+    later. A difference that is too small for a correction, but not explained by latency and jitter,
+    is only reported: log times don't show whether a clock is wrong or messages were published late.
+
+    Args:
+        given_s: Offset from the options [s].
+        flag: Name of the option.
+        images: Clocks of depth, and of other images if their timestamps may agree.
+        sources: Clock of colour, of the pose topic, or of each moving transform. The offset is 0 if
+            one of them may have the clock of depth; others may be future-dated.
     """
-    if options.color_offset_s is not None:
-        return Offset(round(options.color_offset_s * 1e9))
-    if choice.color == choice.depth:
-        return Offset()
-    depth, color = contents.streams[choice.depth], contents.streams[choice.color]
-    delays = _delays(depth)
-    stepped = len(delays) and abs(last_delay_ns - np.median(delays)) > _LEAST_S * 1e9
-    if stepped or _stamps_agree(depth, color):
-        return Offset()
-    found = _difference(_delays(color), _delays(depth)).offset_ns
-    return Offset(found, _text(choice.color, found, "--log.color-offset-s")) if found else Offset()
-
-
-def pose_offset(
-    contents: LogContents, options: LogOptions, choice: Choice, sources: list[tuple[str, str]]
-) -> Offset:
-    """Return the offset of the timestamps of poses relative to depth.
-
-    A difference that is too small for a correction, but not explained by latency and jitter, is
-    only reported: log times don't show whether a clock is wrong or poses were computed late.
-
-    ``sources`` has topic and TF frame of each moving transform, or a pose topic and an empty frame.
-    The offset is 0 if a source may have the clock of depth; other sources may be future-dated.
-    """
-    if options.pose_offset_s is not None:
-        return Offset(round(options.pose_offset_s * 1e9))
-    images = [contents.streams[choice.depth]]
-    if choice.color not in ("", choice.depth):
-        color = contents.streams[choice.color]
-        # If the stamps agree but only depth differs from the poses, depth was written later.
-        images += [color] if _stamps_agree(images[0], color) else []
-    seen = {key: contents.delays[key].first for key in sources if key in contents.delays}
-    delays = {key: np.array([*one.values()], np.int64) for key, one in seen.items() if one}
-    found = [[_difference(one, _delays(stream)) for one in delays.values()] for stream in images]
+    if given_s is not None:
+        return Offset(round(given_s * 1e9))
+    # If the stamps agree but only depth differs from the others, depth was written later.
+    images = [images[0], *(one for one in images[1:] if _stamps_agree(images[0], one))]
+    sources = [one for one in sources if len(one.delays_ns)]
+    found = [[_difference(one.delays_ns, two.delays_ns) for one in sources] for two in images]
     every = [difference for one in found for difference in one]
     if not every or not all(one.is_doubtful for one in every):
         return Offset()
-    topic, least = min(zip(delays, found[0], strict=True), key=lambda item: abs(item[1].ns))
+    clock, least = min(zip(sources, found[0], strict=True), key=lambda item: abs(item[1].ns))
+    if any(_stamps_agree(images[0], one) for one in sources):
+        return Offset(0, _late(clock.topic, least) if abs(least.ns) > LEAST_NS else "")
     if not all(one.offset_ns for one in every):
         known = min(one.num_delays for one in every) >= _FEW_DELAYS
-        return Offset(0, _doubt(topic[0], least)) if known else Offset()
-    return Offset(least.ns, _text(topic[0], least.ns, "--log.pose-offset-s"))
+        return Offset(0, _doubt(clock.topic, least, flag) if known else "")
+    return Offset(least.ns, _text(clock.topic, least.ns, flag))
 
 
-def first_stamp(
-    count: int, stamp_ns: Callable[[int], int], log_ns: Callable[[int], int]
-) -> tuple[int, int]:
-    """Return the start of a log's time axis [ns], and the number of frames with older timestamps.
-
-    The start is the first timestamp. If the clock was not set at first (timestamps of zero, or
-    years before most of the others), the start is the time at which the first image was recorded.
-
-    Args:
-        count: Number of frames.
-        stamp_ns: Function that returns the timestamp of a frame; timestamps are in order.
-        log_ns: Function that returns the log time of a frame.
-    """
-    if not count:
-        return 0, 0
-    first, last, middle = stamp_ns(0), stamp_ns(count - 1), 0
-    recorded = abs(log_ns(count - 1) - log_ns(0))
-    if last - first > _YEAR_NS + recorded:
-        middle = stamp_ns(count // 2)
-    if first and middle - first <= _YEAR_NS:
-        return first, 0
-    least = max(1, middle - _YEAR_NS if middle - first > _YEAR_NS else 1)
-    before = bisect_left(range(count), least, key=stamp_ns)
-    if before == count:
-        return 0, 0
-    delay = log_ns(before) - log_ns(0)
-    return stamp_ns(before) - (delay if first and 0 <= delay < _YEAR_NS else 0), before
+def _without_jumps(log_ns: np.ndarray) -> np.ndarray:
+    """Return log times in file order as if the recorder's clock had always been as at the end."""
+    steps = np.diff(log_ns)
+    odd = jumps(log_ns)
+    if not odd.any():
+        return log_ns
+    times = np.cumsum(np.append(0, np.where(odd, max(0, int(np.median(steps))), steps)))
+    return times + (log_ns[-1] - times[-1])
 
 
-def unset_clock_text(topic: str, count: int, first_ns: int) -> str:
-    """Return the warning about timestamps from before the clock was set."""
-    when = f"{EPOCH + first_ns // 1000 * MICROSECOND:%Y-%m-%d}"
-    which = "first stamp is" if count == 1 else f"first {count} stamps are"
-    text = f"{printable(topic)}: the {which} years before the others ({when})"
-    return f"{text}: the clock was not set yet; --start counts from the first recorded image"
+def _unevenness(stamps_ns: np.ndarray) -> float:
+    """Return the sum of the deviations of all intervals between timestamps from their median."""
+    intervals = np.diff(np.sort(stamps_ns))
+    return float(np.abs(intervals - np.median(intervals)).sum()) if len(intervals) else 0.0
 
 
-def _delays(stream: ImageStream) -> np.ndarray:
-    """Return timestamp minus log time of the first images [ns]; empty if all stamps are zero.
-
-    Repeated images count once, at their first log time.
-    """
-    first: dict[int, int] = {}
-    for image in stream.first:
-        first.setdefault(image.stamp_ns, image.stamp_ns - image.log_ns)
-    return np.array([*first.values()] if any(first) else [], np.int64)
+def _group_text(stamps_ns: np.ndarray, shift_ns: int) -> str:
+    """Return the description of timestamps that are moved, ``(N,)`` int64 [ns]."""
+    are = f"{len(stamps_ns)} {'is' if len(stamps_ns) == 1 else 'are'}"
+    if not stamps_ns.any():
+        return f"{are} zero"
+    way = "before" if shift_ns > 0 else "after"
+    if abs(shift_ns) < _YEAR_NS:
+        return f"{are} {abs(shift_ns) / 1e9:.3f} s {way} the others"
+    when = f"{EPOCH + int(stamps_ns[0]) // 1000 * MICROSECOND:%Y-%m-%d}"
+    return f"{are} years {way} the others ({when})"
 
 
 def _difference(first: np.ndarray, second: np.ndarray) -> _Difference:
@@ -181,11 +235,9 @@ def _difference(first: np.ndarray, second: np.ndarray) -> _Difference:
     return _Difference(found, error_ns, num_delays, is_steady=max(off) <= _STEADY * abs(found))
 
 
-def _stamps_agree(depth: ImageStream, color: ImageStream) -> bool:
+def _stamps_agree(depth: Clock, color: Clock) -> bool:
     """Return whether most of the first images of both topics have equal timestamps."""
-    one, other = (
-        np.array([image.stamp_ns for image in stream.first], np.int64) for stream in (depth, color)
-    )
+    one, other = (clock.stamps_ns[:NUM_PROBES] for clock in (depth, color))
     if not len(one) or not len(other):
         return False
     apart = np.abs(one[:, None] - other[None]).min(axis=1)
@@ -199,12 +251,17 @@ def _text(topic: str, offset_ns: int, flag: str) -> str:
     return f"{text}; this is corrected ({flag} 0 disables the correction)"
 
 
-def _doubt(topic: str, found: _Difference) -> str:
+def _doubt(topic: str, found: _Difference, flag: str) -> str:
     """Return the warning about a difference that is not corrected."""
     way, error_s = "ahead of" if found.ns > 0 else "behind", _SIGMAS * found.error_ns / 1e9
     text = f"{printable(topic)}: by the log times, its timestamps are {abs(found.ns) / 1e9:.2f} s "
-    text += (
-        f"{way} depth's (within {error_s:.2f} s by their jitter), which is not corrected; if its "
-    )
-    text += f"clock differs, pass --log.pose-offset-s {found.ns / 1e9:.2f}, or 0 if poses are only "
+    text += f"{way} depth's (within {error_s:.2f} s by their jitter), which is not corrected; if "
+    text += f"its clock differs, pass {flag} {found.ns / 1e9:.2f}, or 0 if its messages are only "
     return f"{text}published early or late"
+
+
+def _late(topic: str, found: _Difference) -> str:
+    """Return the warning about a topic whose timestamps agree with those of depth."""
+    text = f"{printable(topic)}: its messages and depth images with equal timestamps were recorded "
+    text += f"{abs(found.ns) / 1e9:.1f} s apart (median); if their timestamps are from two clocks, "
+    return f"{text}messages of another time are used"

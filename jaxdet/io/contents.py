@@ -104,22 +104,6 @@ class PoseTrack:
         self.samples = MotionSamples()
 
 
-class Delays:
-    """Header timestamps minus log times [ns], for a pose topic or the transforms of a frame."""
-
-    def __init__(self, delay_ns: int) -> None:
-        self.first: dict[int, int] = {}
-        """Delays in the topic's first ``FIRST_MOTIONS`` messages by timestamp; of repeated messages
-        the first counts, since the others may have been recorded later."""
-        self.least = self.most = delay_ns
-
-    def add(self, stamp_ns: int, delay_ns: int, *, is_first: bool) -> None:
-        """Add a delay."""
-        self.least, self.most = min(self.least, delay_ns), max(self.most, delay_ns)
-        if is_first:
-            self.first.setdefault(stamp_ns, delay_ns)
-
-
 class LogContents:
     """Contents of a log, without the pixels of its images; ``path`` is for errors."""
 
@@ -133,8 +117,6 @@ class LogContents:
         self.depth_units: dict[str, float] = {}
         """First value on each :data:`DEPTH_UNIT_TOPIC`, by topic [m]."""
         self.poses: dict[str, PoseTrack] = {}
-        self.delays: dict[tuple[str, str], Delays] = {}
-        """Delays of moving transforms and poses, by topic and child frame (empty for poses)."""
         self.trees: dict[str, TransformTree] = {}
         """Transforms by namespace."""
         self.tree = TransformTree(path)
@@ -301,23 +283,20 @@ class ContentsBuilder:
     ) -> None:
         motions = decoder.motions(payload)
         seen = self._motions_seen[topic] = self._motions_seen.get(topic, 0) + 1
-        for item in motions if self.images and not decoder.is_static else ():
-            key = topic, item.child if decoder.kind is Kind.TRANSFORM else ""
-            delay = item.stamp_ns - log_ns
-            if key not in self.contents.delays:
-                self.contents.delays[key] = Delays(delay)
-            self.contents.delays[key].add(item.stamp_ns, delay, is_first=seen <= FIRST_MOTIONS)
+        first = seen <= FIRST_MOTIONS
         if decoder.kind is Kind.TRANSFORM:
             if decoder.is_static or self.images:
                 trees, new = self.contents.trees, TransformTree(self.contents.path)
                 tree = trees.setdefault(namespace_of(topic), new)
-                tree.add(motions, decoder.is_static, decoder.is_foxglove, topic)
+                how = decoder.is_static, decoder.is_foxglove, topic, log_ns
+                tree.add(motions, *how, is_first=first)
         elif self.images:
             poses = self.contents.poses
             for item in motions:
                 if topic not in poses:
                     poses[topic] = PoseTrack(item)
-                poses[topic].samples.add(item.stamp_ns, item.translation, item.rotation)
+                sample = item.stamp_ns, item.translation, item.rotation, log_ns
+                poses[topic].samples.add(*sample, is_first=first)
 
 
 def image_stamps(decoder: MessageDecoder, payload: memoryview) -> tuple[int, int]:

@@ -16,9 +16,6 @@ _SLOW_S = 0.05
 """Time between a frame and its colour image above which the pairing is reported [s]."""
 _FEW = 0.1
 """Fraction of frames without a pose above which their number is reported."""
-_TWO_CLOCKS_S = 0.5
-"""Difference of log times minus difference of timestamps, of a frame and its colour image, above
-which two clocks are suspected [s]."""
 
 
 class TopicDescription(NamedTuple):
@@ -147,17 +144,9 @@ def complete(
     texts = (
         (counts.backward, "timestamps run backward; frames are ordered by timestamp"),
         (counts.double, "timestamps occur twice"),
-        (counts.zero, "header timestamps are zero"),
         (counts.undecodable, "messages can't be decoded"),
     )
     warnings += [f"{topic}: {count} {text}" for count, text in texts if count]
-    later = (notes.recorded_apart_ns - notes.apart_ns) / 1e9
-    if len(later) and (seconds := float(np.median(later))) > _TWO_CLOCKS_S:
-        warnings.append(
-            "colour and depth images with equal timestamps were recorded "
-            f"{seconds:.1f} s apart (median); "
-            "if their timestamps are from two clocks, pictures show colour of another time"
-        )
     more = []
     has_color = any("color" in item.chosen_as.split() for item in about.topics)
     if has_color and (pairing.num_with_color < pairing.num_frames or pairing.max_dt_s > _SLOW_S):
@@ -168,8 +157,8 @@ def complete(
             "no frame has a pose: the timestamps of the poses are from another time or clock"
         )
     elif has_poses and (lacking := frames - notes.poses) > _FEW * frames:
-        text = f"{lacking} of {frames} frames have no pose; see --log.world-frame and --log.odom"
-        warnings.append(text)
+        text = f"{lacking} of {frames} frames have no pose; see --log.world-frame, --log.odom and "
+        warnings.append(f"{text}--log.pose-offset-s")
     return about._replace(
         num_poses=notes.poses,
         pairing=pairing,

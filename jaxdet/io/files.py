@@ -3,11 +3,11 @@
 import glob
 import os
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import chain, islice, pairwise
 from os import PathLike
 from pathlib import Path, PurePath
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from jaxdet.errors import InputError, printable
 from jaxdet.io.container import RECORDINGS
@@ -49,6 +49,7 @@ EXPORTED = ".jaxdet.mcap"
 """End of the names of files exported for Foxglove and ROS 2. They are recognised by name, since
 their headers are those of any MCAP file."""
 _MAX_LISTED, _MAX_MISSING = 4, 1000
+_P = TypeVar("_P", bound=PurePath)
 MAX_FOLDERS = 100_000
 """Maximum number of folders that are searched."""
 
@@ -111,12 +112,8 @@ def find_logs(
         if note:
             said[found[0].resolve()] = note
     paths = _once(chosen)
-    groups: dict[tuple[Path, str, str], list[Path]] = {}
-    for (_, stem, number, _), path in sorted((_order(path), path) for path in paths):
-        key = path.parent, path.name if number < 0 or not join else _series(stem), path.suffix
-        groups.setdefault(key, []).append(path)
     logs = []
-    for group in groups.values():
+    for group in _grouped(paths, lambda _: join):
         parts = [Recording(tuple(group), "")]
         if len(group) > 1:
             parts = recordings([(_split(path)[1], path) for path in group])
@@ -275,7 +272,7 @@ def _files(text: str) -> tuple[list[Path], str]:
         raise InputError(problem, path=str(datasets[0]), remedy=_AS_IMAGES)
     if not found:
         raise _nothing(text, others, exports, gone)
-    taken, left = _preferred(found)
+    taken, left = _preferred(found, _overlap)
     left += [(file, _advice(file)) for file in others]
     left += [(file, "a broken link") for file in gone]
     left += [(item, "a link to a parent folder") for item in above]
@@ -360,14 +357,21 @@ def _check_path(path: Path) -> None:
         raise InputError(problem, path=str(path)[:200], remedy="check the path") from error
 
 
-def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]]]:
+def _preferred(
+    found: Sequence[_P], overlap: Callable[[_P, Sequence[_P]], bool]
+) -> tuple[list[_P], list[tuple[_P, str]]]:
     """Return the files to read, and the files to leave out, each with the reason.
 
     If a recording exists in several formats, only the file with the preferred one is read. A split
-    is read nevertheless if the preferred format has only splits with other numbers and times: the
-    recording may be partly converted, or the split may belong to a different recording.
+    is read nevertheless if the preferred format has only splits with other numbers, unless these
+    overlap in time: the recording may be partly converted, or the split may belong to a different
+    recording.
+
+    Args:
+        found: Recordings.
+        overlap: Function that returns whether a file overlaps in time with any of other files.
     """
-    known: dict[tuple[Path, str], dict[str, list[Path]]] = {}
+    known: dict[tuple[PurePath, str], dict[str, list[_P]]] = {}
     for file in found:
         formats = known.setdefault((file.parent, _split(file)[0]), {})
         formats.setdefault(file.suffix.lower(), []).append(file)
@@ -378,7 +382,7 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
         rather = SUFFIXES[: SUFFIXES.index(file.suffix.lower())]
         better = [one for kind in rather for one in formats.get(kind, ())]
         same = [one for one in better if number < 0 or _split(one)[1] in (number, -1)]
-        if same or (better and _has_times_of(file, formats[better[0].suffix.lower()])):
+        if same or (better and overlap(file, formats[better[0].suffix.lower()])):
             suffix = (same or better)[0].suffix.lower()
             left.append((file, f"the same recording exists as {suffix}"))
         else:
@@ -386,12 +390,12 @@ def _preferred(found: Sequence[Path]) -> tuple[list[Path], list[tuple[Path, str]
     return taken, left
 
 
-def _has_times_of(file: Path, others: Sequence[Path]) -> bool:
-    """Return whether the images of a file may overlap in time with those of others."""
+def _overlap(file: Path, others: Sequence[Path]) -> bool:
+    """Return whether the images of a file are known to overlap in time with those of others."""
     known = signature(file)
     spans = [one.span_ns for one in map(signature, others) if one and one.span_ns]
     if known is None or known.span_ns is None or not spans:
-        return True
+        return False
     first, last = zip(*spans, strict=True)
     return known.span_ns[0] < max(last) and known.span_ns[1] > min(first)
 
@@ -465,22 +469,24 @@ def listed_recordings(
 ) -> list[list[PurePath]]:
     """Return the recordings among files that can't be read yet, by their names alone.
 
-    If a folder has a recording in several formats, the preferred one is used.
+    If a folder has a recording in several formats, the preferred one is used as in local folders,
+    but the times of splits are not compared.
 
     Args:
         files: All files, in any order.
         listed: Names of the files listed in the ``metadata.yaml`` of each folder that has one.
             Splits that are listed are one recording; all other files are separate recordings.
     """
-    rank = {suffix: number for number, suffix in enumerate(SUFFIXES)}
-    chosen: dict[PurePath, PurePath] = {}
     found = [path for path in files if _is_recording(path) and not _is_export(path)]
-    for path in sorted(found, key=lambda path: (rank[path.suffix.lower()], path)):
-        chosen.setdefault(path.parent / _bare_name(path), path)
-    groups: dict[tuple[PurePath, str, str], list[PurePath]] = {}
-    for path in sorted(chosen.values(), key=_order):
+    taken, _ = _preferred(found, lambda *_: False)
+    return _grouped(taken, lambda path: path.name in listed.get(path.parent, ()))
+
+
+def _grouped(files: Iterable[_P], may_join: Callable[[_P], bool]) -> list[list[_P]]:
+    """Return files in order, grouped into the splits of a recording, if they may be joined."""
+    groups: dict[tuple[PurePath, str, str], list[_P]] = {}
+    for path in sorted(files, key=_order):
         stem, number = _split(path)
-        is_split = number >= 0 and path.name in listed.get(path.parent, ())
-        key = path.parent, _series(stem) if is_split else path.name, path.suffix
-        groups.setdefault(key, []).append(path)
+        name = _series(stem) if number >= 0 and may_join(path) else path.name
+        groups.setdefault((path.parent, name, path.suffix), []).append(path)
     return [*groups.values()]

@@ -1,6 +1,6 @@
 """Topics, calibration, poses and frames of a log, determined before images are decoded."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxdet.elementary import matmul
 from jaxdet.errors import JaxdetError, RescanError, TransformError, printable
 from jaxdet.io.calibration import Calibrated, calibrate
 from jaxdet.io.cameras import Cameras, find_cameras
-from jaxdet.io.clocks import Offset, color_offset, pose_offset
+from jaxdet.io.clocks import Clock, find_offset, read_clock
 from jaxdet.io.contents import LogContents
 from jaxdet.io.indexed import IndexedLog, may_repeat
 from jaxdet.io.options import LogOptions
@@ -61,14 +61,14 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
     calibrated = calibrate(contents, choice, options, is_body=is_body)
     if calibrated.color_error is not None:
         check_sampled(log, calibrated.color_error)
-    frames, warnings = _frames(log, contents, choice, calibrated, options)
-    of_color = Offset()
-    if frames.color:
-        last = frames.num_frames - 1
-        delay_ns = frames.stamp_ns(last) - frames.log_ns(last)
-        of_color = color_offset(contents, options, choice, delay_ns)
-        frames = frames._replace(color_offset_ns=of_color.ns)
-    base, poses = _find_poses(log, contents, choice, calibrated, options, frames)
+    frames, clocks, warnings = _frames(log, contents, choice, calibrated, options)
+    given = options.color_offset_s, "--log.color-offset-s"
+    of_color = find_offset(*given, clocks[:1], clocks[1:])
+    frames = frames._replace(color_offset_ns=of_color.ns)
+    warnings.append("" if of_color.ns else of_color.text)
+    notes = of_color.text if of_color.ns else "", choice.note
+    base, frames = _find_poses(log, contents, choice, calibrated, options, frames, clocks)
+    poses = frames.source
     frames_used = {calibrated.tf_frame, calibrated.color_frame, base.frame or "", poses.world}
     frames_used.add(contents.streams[choice.depth].frame_id(True))
     if not log.motions.whole and contents.tree.sampled_once() & {
@@ -80,9 +80,9 @@ def find(log: IndexedLog, options: LogOptions, *, is_body: bool = False) -> Find
         choice,
         calibrated,
         base,
-        frames._replace(source=poses),
-        (*contents.tree.warnings, *warnings),
-        tuple(filter(None, (of_color.text, choice.note))),
+        frames,
+        (*contents.tree.warnings, *filter(None, warnings)),
+        tuple(filter(None, notes)),
     )
 
 
@@ -92,22 +92,21 @@ def _frames(
     choice: Choice,
     calibrated: Calibrated,
     options: LogOptions,
-) -> tuple[IndexedFrames, list[str]]:
-    """Return the frames of the chosen topics, without poses, and warnings about them.
+) -> tuple[IndexedFrames, list[Clock], list[str]]:
+    """Return the frames of the chosen topics, without poses, their clocks, and warnings about them.
 
-    If all timestamps of a stream are zero, log times replace them, also for the pairing with
-    colour.
+    The first clock is that of depth, the last that of colour if the log has colour. Timestamps from
+    before a clock was adjusted are moved, see :func:`jaxdet.io.clocks.read_clock`. If all
+    timestamps of a stream are zero, log times replace them, also for the pairing with colour.
 
     Raises:
         RescanError: The first messages show that all messages must be read.
     """
-    warnings, zero = list[str](), set[str]()
+    warnings, zero, clocks = list[str](), set[str](), list[Clock]()
     topics = dict.fromkeys((choice.depth, *((choice.color,) if calibrated.has_color else ())))
     streams = {topic: log.streams[topic] for topic in topics}
     if log.is_complete:
         zero = {topic for topic, stream in streams.items() if not stream.stamp.any()}
-    else:
-        _check_stamps(log, topics)
     for topic, stream in streams.items():
         if topic in zero:
             text = "all header timestamps are zero; log times are used"
@@ -115,9 +114,16 @@ def _frames(
         if stream.backward:
             text = f"{stream.backward} log times run backward; images are ordered by timestamp"
             warnings.append(f"{printable(topic)}: {text}")
-        if log.is_complete:
-            of_color = topic != choice.depth and bool(zero)
-            streams[topic] = stream.complete(by_log_time=topic in zero or of_color)
+        clock = _clock(log, topic, clocks[0].shifts_ns if clocks else ())
+        clocks.append(clock)
+        if not log.is_complete:
+            _check_stamps(log, clock)
+        elif topic in zero or (zero and clocks[1:]):
+            streams[topic] = stream.complete(stream.messages.log_ns)
+        else:
+            warnings.append(clock.text)
+            ranks = np.argsort(stream.in_file_order())
+            streams[topic] = stream.complete(clock.stamps_ns[ranks])
     depth, color = streams[choice.depth], streams[choice.color] if calibrated.has_color else None
     if color is not None and color is not depth:
         color.whole = False
@@ -131,21 +137,35 @@ def _frames(
         _calibrations(log, choice, calibrated, by_log_time=choice.depth in zero),
         by_log_time=bool(zero),
     )
-    return frames, warnings
+    return frames, clocks, warnings
 
 
-def _check_stamps(log: IndexedLog, topics: Iterable[str]) -> None:
-    """Check that the images of some topics can be distinguished and ordered by timestamps.
+def _clock(log: IndexedLog, topic: str, shifts_ns: Sequence[int]) -> Clock:
+    """Return the clock of an image topic, by all its images or, if not all were read, the first."""
+    stream = log.streams[topic]
+    if log.is_complete:
+        rows = stream.in_file_order()
+        stamps, times = stream.stamp[rows], stream.messages.log_ns[rows]
+    else:
+        first = [(image.stamp_ns, image.log_ns) for image in log.contents.streams[topic].first]
+        stamps, times = np.array(first, np.int64).reshape(-1, 2).T
+    return read_clock(topic, stamps, times, NUM_PROBES, shifts_ns)
+
+
+def _check_stamps(log: IndexedLog, clock: Clock) -> None:
+    """Check that the images of a topic can be distinguished and ordered by timestamps.
 
     Raises:
-        RescanError: The first timestamps are zero, or images may occur twice.
+        RescanError: The first timestamps are zero, images may occur twice, or a clock was adjusted.
     """
-    for topic in topics:
-        stream, path = log.contents.streams[topic], log.contents.path
-        if not any(image.stamp_ns for image in stream.first):
-            raise RescanError("the first header timestamps are zero", path=path, topic=topic)
-        if may_repeat(stream, log.streams[topic].messages.log_ns):
-            raise RescanError("images may occur twice", path=path, topic=topic)
+    topic, path = clock.topic, log.contents.path
+    if not clock.stamps_ns.any():
+        raise RescanError("the first header timestamps are zero", path=path, topic=topic)
+    if may_repeat(log.contents.streams[topic], log.streams[topic].messages.log_ns):
+        raise RescanError("images may occur twice", path=path, topic=topic)
+    if clock.shifts_ns:
+        raise RescanError("the first header timestamps are of two clocks", path=path, topic=topic)
+    log.streams[topic].check_clock()
 
 
 def _calibrations(
@@ -168,8 +188,9 @@ def _find_poses(
     calibrated: Calibrated,
     options: LogOptions,
     frames: IndexedFrames,
-) -> tuple[Base, PoseSource]:
-    """Return the base frame and the poses of the depth camera.
+    clocks: Sequence[Clock],
+) -> tuple[Base, IndexedFrames]:
+    """Return the base frame, and the frames with the poses of the depth camera.
 
     If TF lacks the depth camera's frame, the colour camera's frame and the extrinsics are used.
     """
@@ -179,38 +200,51 @@ def _find_poses(
         frame = calibrated.color_frame
         T_frame_camera = motion.T if T_frame_camera is None else matmul(T_frame_camera, motion.T)
 
-    def share_known(source: PoseSource) -> float:
-        return _share_known(frames._replace(source=source, color=None), log.is_complete)
-
-    def on_clock(source: PoseSource) -> PoseSource:
-        if not source.known:
-            return source
-        topics = [(source.topic, "")] if source.topic else []
-        moving = source.moving(contents.tree)
-        topics = topics or [(contents.tree.topic(name), name) for name in moving]
-        offset = pose_offset(contents, options, choice, topics)
-        warnings = (*source.warnings, *filter(None, [offset.text]))
-        found = source._replace(offset_ns=offset.ns, warnings=warnings)
-        # If a clock was adjusted during the recording, fewer frames have a pose with the offset.
-        is_measured = offset.ns and offset.text
-        return source if is_measured and share_known(source) > share_known(found) else found
-
     base = find_base(contents, options, frame)
     *sources, last = pose_sources(contents, options, choice.depth, frame, base.frame)
-    poses, most = None, 0.0
-    for source in map(on_clock, sources):
-        share = share_known(source)
+    found, most = None, 0.0
+    for source in sources:
+        one = _with_poses(frames, source, clocks, options, log.is_complete)
+        share = _share_known(one, log.is_complete)
         if share > most:
-            more = f", which has more poses than {printable(poses.world)!r}" if poses else ""
-            poses, most = source._replace(text=source.text + more), share
+            text = one.source.text
+            if found:
+                text += f", which has more poses than {printable(found.source.world)!r}"
+            found, most = one._replace(source=one.source._replace(text=text)), share
         if most >= _ENOUGH:
             break
-    poses = poses or on_clock(last)
+    found = found or _with_poses(frames, last, clocks, options, log.is_complete)
+    poses = found.source
     if T_frame_camera is not None and base.T_base_camera is not None:
         base = base._replace(T_base_camera=matmul(base.T_base_camera, T_frame_camera))
     if calibrated.camera_frame not in (frame, *known):
         poses = poses._replace(text=poses.text.replace("poses: TF", "poses: turned, TF"))
-    return base, poses._replace(T_frame_camera=T_frame_camera)
+    return base, found._replace(source=poses._replace(T_frame_camera=T_frame_camera))
+
+
+def _with_poses(
+    frames: IndexedFrames,
+    source: PoseSource,
+    clocks: Sequence[Clock],
+    options: LogOptions,
+    is_complete: bool,
+) -> IndexedFrames:
+    """Return the frames with poses from a source; ``clocks`` are those of depth and colour.
+
+    Raises:
+        RescanError: The first messages show that all messages must be read.
+    """
+    motions, own = frames.motions.on_clock(source, clocks[0].shifts_ns)
+    texts = {clock.topic: clock.text for clock in own if clock.text}
+    source = source._replace(warnings=(*source.warnings, *texts.values()))
+    without = frames._replace(source=source, motions=motions)
+    offset = find_offset(options.pose_offset_s, "--log.pose-offset-s", clocks, own)
+    warnings = (*source.warnings, *filter(None, [offset.text]))
+    found = without._replace(source=source._replace(offset_ns=offset.ns, warnings=warnings))
+    # If the poses were only recorded by another clock, fewer frames have one with the offset.
+    is_measured = offset.ns and offset.text
+    shares = [_share_known(one, is_complete) for one in (without, found) if is_measured]
+    return without if shares and shares[0] > shares[1] else found
 
 
 def _share_known(frames: IndexedFrames, is_complete: bool) -> float:
@@ -222,7 +256,7 @@ def _share_known(frames: IndexedFrames, is_complete: bool) -> float:
     Raises:
         RescanError: No sampled frame has a pose, and not all messages were read.
     """
-    count = frames.num_frames
+    frames, count = frames._replace(color=None), frames.num_frames
     sample = np.unique(np.linspace(0, count - 1, _POSE_SAMPLE).astype(np.int64)).tolist()
     share = float(np.mean([frames.window(i, i + 1).notes.poses for i in sample]))
     if share or len(sample) == count:

@@ -16,13 +16,12 @@ from jaxdet.errors import FrameError, FrameStatus, InputError, RescanError
 from jaxdet.io.batch import Batch, LogFrame
 from jaxdet.io.body_mask import hidden_pixels, mask_doubts
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.clocks import first_stamp, unset_clock_text
 from jaxdet.io.contents import LogContents
 from jaxdet.io.description import LogDescription, complete, describe, with_bad_color
 from jaxdet.io.files import LogFiles
 from jaxdet.io.findings import Findings
+from jaxdet.io.moments import find_part
 from jaxdet.io.options import LogOptions
-from jaxdet.io.part import find_part
 from jaxdet.io.reading import Failures, ImageReader
 from jaxdet.io.store import ChunkStore
 from jaxdet.io.timeline import Notes, Window, total
@@ -116,13 +115,10 @@ class Log:
         several = len(found.cameras.names) > 1
         self.label = f"{self.name}, {self.camera}" if several else self.name
         part = options.start, options.stop, options.every
-        begin_ns, before = first_stamp(frames.num_frames, frames.stamp_ns, frames.log_ns)
+        begin_ns = frames.stamp_ns(0)
         if part != (None, None, 1):
             frames.check_clocks()
         self.frames = find_part(begin_ns, self.num_frames, frames.stamp_ns, *part, self._path)
-        if before and frames.stamp_ns(0):
-            text = unset_clock_text(found.choice.depth, before, frames.stamp_ns(0))
-            found = found._replace(warnings=(*found.warnings, text))
         depth, image = self.calibration.depth, self.calibration.image
         about_mask = self.camera, found.cameras.names, (depth.width, depth.height), self._path
         hidden = hidden_pixels(options.mask, *about_mask)

@@ -1,10 +1,15 @@
-"""Time arguments of the command line, without heavy imports, since the options use this module."""
+"""Times of the command line, and selection of the frames between two of them.
+
+The options use this module, so it has no heavy imports.
+"""
 
 import re
+from bisect import bisect_left
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
-from jaxdet.errors import ConfigError
+from jaxdet.errors import ConfigError, InputError
 
 _SECONDS = re.compile(r"(\d{1,12}(?:\.\d*)?|\.\d+)s?", re.ASCII)
 """Seconds with up to 12 digits; longer numbers are not valid, in particular not milliseconds."""
@@ -49,3 +54,49 @@ def parse_moment(text: str, flag: str) -> Moment:
         raise ConfigError(problem, remedy=f"use a form like {forms}") from None
     time = time if time.tzinfo else time.replace(tzinfo=UTC)
     return Moment((time - EPOCH) // MICROSECOND * 1000, True)
+
+
+def find_part(
+    begin_ns: int,
+    count: int,
+    stamp_ns: Callable[[int], int],
+    start: str | None,
+    stop: str | None,
+    every: int,
+    path: str,
+) -> range:
+    """Return the numbers of the frames in a time range.
+
+    Args:
+        begin_ns: Start of the log's time axis [ns].
+        count: Number of frames.
+        stamp_ns: Function that returns the timestamp of a frame [ns]; timestamps are in order.
+        start: Start time, see :func:`parse_moment`; None: the start of the log.
+        stop: End time, exclusive, in the same forms; None: the end of the log.
+        every: Only multiples of this number are selected.
+        path: Path of the log, for errors.
+
+    Raises:
+        InputError: No frame is selected.
+    """
+    if not count:
+        return range(0)
+    ends = [0, count]
+    for side, text in enumerate((start, stop)):
+        if text is not None:
+            wanted = parse_moment(text, "").stamp_ns(begin_ns)
+            ends[side] = bisect_left(range(count), wanted, key=stamp_ns)
+    found = range(-(-ends[0] // every) * every, ends[1], every)
+    if not found:
+        asked = f"--start {start}" * (start is not None), f"--stop {stop}" * (stop is not None)
+        each = f"--every {every}" if every > 1 else ""
+        asked = " ".join(part for part in (*asked, each) if part)
+        remedy = f"the log has {count} depth images {_span(begin_ns, stamp_ns(count - 1))}"
+        raise InputError(f"no depth image matches {asked}", path=path, remedy=remedy)
+    return found
+
+
+def _span(first_ns: int, last_ns: int) -> str:
+    times = [EPOCH + ns // 1000 * MICROSECOND for ns in (first_ns, last_ns)]
+    texts = [f"{time:%Y-%m-%dT%H:%M:%S.%f}"[:-3] + "Z" for time in times]
+    return f"from 0 to {(last_ns - first_ns) / 1e9:.3f} s, {texts[0]} to {texts[1]}"

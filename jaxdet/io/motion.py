@@ -1,6 +1,7 @@
 """Rigid motions over time: quaternions, matrices, and interpolation between samples."""
 
 from array import array
+from copy import copy
 
 import numpy as np
 
@@ -14,10 +15,16 @@ MAX_GAP_S = 1.0
 
 
 class MotionSamples:
-    """Samples of the motion of one frame in another, in any order; 64 bytes per sample."""
+    """Samples of the motion of one frame in another, in any order; 72 bytes per sample.
+
+    Attributes:
+        num_first: Number of samples from the first messages of their topic; they come first.
+    """
 
     def __init__(self) -> None:
+        self.num_first = 0
         self._stamps = array("q")
+        self._log_times = array("q")
         self._values = array("d")
         self._in_order: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -29,10 +36,23 @@ class MotionSamples:
         stamp_ns: int,
         translation: tuple[float, float, float],
         rotation: tuple[float, float, float, float],
+        log_ns: int = 0,
+        *,
+        is_first: bool = False,
     ) -> None:
-        """Add a sample: translation [m] and unit quaternion x y z w."""
+        """Add a sample.
+
+        Args:
+            stamp_ns: Header timestamp [ns].
+            translation: Translation [m].
+            rotation: Unit quaternion x y z w.
+            log_ns: Log time [ns].
+            is_first: Whether it is from one of the first messages of its topic.
+        """
         self._in_order = None
+        self.num_first += is_first
         self._stamps.append(stamp_ns)
+        self._log_times.append(log_ns)
         self._values.extend(translation)
         self._values.extend(rotation)
 
@@ -46,15 +66,27 @@ class MotionSamples:
         values = self.values
         return len(values) > 1 and bool(np.allclose(values, values[0], rtol=0, atol=1e-9))
 
-    def is_like_first(self, message: TransformMessage) -> bool:
-        """Return whether a transform equals the first sample."""
+    def is_like(self, message: TransformMessage, number: int) -> bool:
+        """Return whether a transform equals the sample with this number; -1: the last sample."""
         value = np.array([*message.translation, *message.rotation])
-        return bool(np.allclose(value, self._values[:7], rtol=0, atol=1e-9))
+        known = self._values[7 * number : 7 * number + 7 or None]
+        return bool(np.allclose(value, known, rtol=0, atol=1e-9))
 
     @property
     def stamps_ns(self) -> np.ndarray:
         """Timestamps in order of arrival, ``(N,)`` int64 [ns]."""
         return np.array(self._stamps, np.int64)
+
+    @property
+    def log_ns(self) -> np.ndarray:
+        """Log times in order of arrival, ``(N,)`` int64 [ns]."""
+        return np.array(self._log_times, np.int64)
+
+    def with_stamps(self, stamps_ns: np.ndarray) -> "MotionSamples":
+        """Return a copy with other timestamps, ``(N,)`` int64 [ns]."""
+        found = copy(self)
+        found._stamps, found._in_order = array("q", stamps_ns.tolist()), None
+        return found
 
     def at(self, stamps_ns: np.ndarray) -> np.ndarray:
         """Interpolate, see :func:`interpolate`; of samples with equal times, the last is used."""

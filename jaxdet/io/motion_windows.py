@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
+from jaxdet.io.clocks import Clock, read_clock
 from jaxdet.io.contents import LogContents
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.file_index import IndexedMessages, Place
@@ -25,6 +26,7 @@ from jaxdet.io.transforms import TransformTree
 
 _SLACK_NS = 250_000_000
 """Allowed deviation of delays from those found at opening [ns]."""
+_NONE = np.zeros(0, np.int64)
 _BESIDE = 8
 """Initial number of extra messages on each side of a window."""
 _MAX_MESSAGES = 20_000
@@ -55,7 +57,7 @@ class MotionWindows:
         """Rank of each message in file order; the messages themselves are in order of log time."""
         self._messages = messages.rows(self._arrival)
         self._store, self._tree, self._tracks = store, TransformTree(), contents.tracks
-        self._path, self._seen, self.whole = contents.path, contents.delays, whole
+        self._path, self.whole = contents.path, whole
         self._decoded: OrderedDict[int, list[tuple[str, TransformMessage]]] = OrderedDict()
 
     def of_tree(self, tree: TransformTree) -> "MotionWindows":
@@ -63,6 +65,40 @@ class MotionWindows:
         found = copy(self)
         found._tree, found._decoded = tree, OrderedDict()
         return found
+
+    def on_clock(
+        self, source: PoseSource, shifts_ns: Sequence[int]
+    ) -> tuple["MotionWindows", list[Clock]]:
+        """Return a copy without the adjustments of the clocks of the poses, and these clocks.
+
+        Args:
+            source: Source of the poses.
+            shifts_ns: Shifts of depth, see :func:`jaxdet.io.clocks.read_clock`.
+
+        Raises:
+            RescanError: A clock was adjusted, and not all messages were read.
+        """
+        samples = self._first_samples(source)
+        clocks = []
+        for name, one in samples.items():
+            topic, times = source.topic or self._tree.topic(name), (one.stamps_ns, one.log_ns)
+            clocks.append(read_clock(topic, *times, one.num_first, shifts_ns, one.values))
+        if not any(clock.shifts_ns for clock in clocks):
+            return self, clocks
+        if not self.whole:
+            raise self._odd("a clock was adjusted during the recording")
+        pairs = zip(samples.items(), clocks, strict=True)
+        moved = {name: one.with_stamps(clock.stamps_ns) for (name, one), clock in pairs}
+        found = copy(self)
+        found._tree, found._tracks = self._tree.with_samples(moved), {**self._tracks, **moved}
+        return found, clocks
+
+    def _first_samples(self, source: PoseSource) -> dict[str, MotionSamples]:
+        """Return the samples from the messages read at opening, by moving frame or topic."""
+        return {
+            name: self._tracks[name] if source.topic else self._tree.samples(name)
+            for name in (source.moving(self._tree) if source.known else ())
+        }
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without the cache of decoded messages."""
@@ -87,8 +123,12 @@ class MotionWindows:
         chunks = self._messages.chunks(own)
         if self.whole:
             return source.at(stamps_ns, self._tree, self._tracks), chunks
-        moving = source.moving(self._tree) if source.known else []
-        low, high = self._delays(moving)
+        known = self._first_samples(source)
+        moving = list(known)
+        delays = np.concatenate([_NONE, *(one.stamps_ns - one.log_ns for one in known.values())])
+        low, high = 0, 0
+        if len(delays):
+            low, high = int(delays.min()) - _SLACK_NS, int(delays.max()) + _SLACK_NS
         about = int(stamps_ns.min()) - high, int(stamps_ns.max()) - low
         around = np.searchsorted(log_ns, about)
         bound = [
@@ -108,14 +148,6 @@ class MotionWindows:
             beside *= 2
         tree = self._tree.with_samples(samples)
         return source.at(stamps_ns, tree, samples), chunks
-
-    def _delays(self, moving: Sequence[str]) -> tuple[int, int]:
-        """Return the minimum and maximum expected delay, timestamp minus log time [ns]."""
-        found = [seen for (topic, child), seen in self._seen.items() if (child or topic) in moving]
-        if not found:
-            return 0, 0
-        least, most = min(seen.least for seen in found), max(seen.most for seen in found)
-        return least - _SLACK_NS, most + _SLACK_NS
 
     def _samples(
         self, bound: Sequence[int], moving: Sequence[str], low: int, high: int

@@ -130,19 +130,13 @@ def pose_sources(
     """
     if options.odom:
         return [_given_track(contents, options, options.odom, camera_frame, base_frame)]
-    world = options.world_frame
-    names = _named(contents, _WORLDS, camera_frame)
-    if world:
-        names = [world] if contents.tree.distance(world, camera_frame) is not None else []
-    sources = [
-        PoseSource(f"poses: TF, frame {printable(name)!r}", camera=camera_frame, world=name)
-        for name in names
-    ]
-    if world and sources:
-        return sources
-    topics = _robot_poses(contents, depth_topic)
-    if world:
-        topics = [name for name in topics if contents.poses[name].parent == world]
+    world, topics = options.world_frame, _robot_poses(contents, depth_topic)
+    if not world:
+        names = [name for name in _named(contents, _WORLDS, camera_frame) if name != base_frame]
+    elif contents.tree.distance(world, camera_frame) is not None:
+        return [_from_tree(world, camera_frame)]
+    else:
+        names, topics = [], [name for name in topics if contents.poses[name].parent == world]
         if not topics:
             given = "--log.world-frame", "transforms", world
             raise _unconnected(contents, *given, camera_frame)
@@ -152,7 +146,12 @@ def pose_sources(
     elif topics:
         text = f"several topics have poses ({listed(topics)}); choose one with --log.odom"
         last = PoseSource("poses: none chosen", (text,))
-    return [*(source for source in sources if source.world != base_frame), last]
+    return [*(_from_tree(name, camera_frame) for name in names), last]
+
+
+def _from_tree(world: str, camera_frame: str) -> PoseSource:
+    """Return the poses in a world frame of TF."""
+    return PoseSource(f"poses: TF, frame {printable(world)!r}", camera=camera_frame, world=world)
 
 
 def _given_track(

@@ -20,8 +20,6 @@ class StreamNotes(NamedTuple):
     """Number of messages with an earlier timestamp than the previous one."""
     double: int = 0
     """Number of timestamps equal to the previous one."""
-    zero: int = 0
-    """Number of timestamps of zero."""
     undecodable: int = 0
     """Number of messages whose timestamp can't be read."""
 
@@ -37,9 +35,6 @@ class Notes(NamedTuple):
     depth: StreamNotes = StreamNotes()
     apart_ns: np.ndarray = _NONE
     """``|colour - depth|`` of the frames with a colour image, ``(P,)`` int64 [ns]."""
-    recorded_apart_ns: np.ndarray = _NONE
-    """Absolute difference between the log times of the colour and the depth image of each of these
-    frames, ``(P,)`` int64 [ns]."""
     without_color: int = 0
     """Number of frames without a colour image within the tolerance."""
     poses: int = 0
@@ -130,17 +125,16 @@ def nearest(stamps_ns: np.ndarray, others_ns: np.ndarray, tolerance_s: float) ->
 
 def apart(
     depth: FrameTable, color: FrameTable | None, color_offset_ns: int = 0
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return timestamp and log time gaps to colour [ns], and the number of frames without colour.
+) -> tuple[np.ndarray, int]:
+    """Return timestamp gaps to colour [ns], and the number of frames without colour.
 
     The clock of colour is ahead of that of depth by ``color_offset_ns``.
     """
     if color is None:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), len(depth.stamps_ns)
+        return np.zeros(0, np.int64), len(depth.stamps_ns)
     there = color.stamps_ns >= 0
-    by_stamp = np.abs(color.stamps_ns - color_offset_ns - depth.stamps_ns)[there]
-    by_log_time = np.abs(color.log_ns - depth.log_ns)[there]
-    return by_stamp, by_log_time, int((~there).sum())
+    gaps = np.abs(color.stamps_ns - color_offset_ns - depth.stamps_ns)[there]
+    return gaps, int((~there).sum())
 
 
 def total(notes: Iterable[Notes]) -> Notes:
@@ -149,7 +143,6 @@ def total(notes: Iterable[Notes]) -> Notes:
     return Notes(
         depth=StreamNotes(*map(sum, zip(*(item.depth for item in items), strict=True))),
         apart_ns=np.concatenate([item.apart_ns for item in items]),
-        recorded_apart_ns=np.concatenate([item.recorded_apart_ns for item in items]),
         without_color=sum(item.without_color for item in items),
         poses=sum(item.poses for item in items),
         bad_color=sum(item.bad_color for item in items),

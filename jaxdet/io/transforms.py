@@ -1,7 +1,7 @@
 """Transform tree of a log, and motions between any two of its frames."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -102,9 +102,10 @@ class TransformTree:
     def uses(self, topic: str, frame: str) -> bool:
         """Return whether transforms of this frame on this topic are used."""
         edge = self._edges.get(frame)
-        if edge is not None and namespace_of(edge.topic) != namespace_of(topic):
-            return False
-        return topic in self._topics
+        if edge is None or edge.topic == topic:
+            return topic in self._topics
+        is_moving = edge.fixed is None
+        return not is_moving and namespace_of(edge.topic) == namespace_of(topic)
 
     def add(
         self,
@@ -112,8 +113,11 @@ class TransformTree:
         static: bool,
         once_is_static: bool = False,
         topic: str = "",
+        log_ns: int = 0,
+        *,
+        is_first: bool = False,
     ) -> None:
-        """Add transforms.
+        """Add the transforms of a message.
 
         Args:
             messages: Transforms.
@@ -121,6 +125,8 @@ class TransformTree:
             once_is_static: Whether a frame with a single transform is static (for Foxglove, whose
                 schemas do not distinguish static and moving transforms).
             topic: Topic of the transforms.
+            log_ns: Log time of the message [ns].
+            is_first: Whether it is one of the first messages of its topic.
         """
         self._topics.add(topic)
         for message in messages:
@@ -131,8 +137,11 @@ class TransformTree:
             if edge is None:
                 continue
             if not static:
+                if edge.topic != topic and not self._moves_to(topic, message, edge):
+                    continue
                 edge.once_is_static |= once_is_static
-                edge.samples.add(message.stamp_ns, message.translation, message.rotation)
+                motion = message.translation, message.rotation
+                edge.samples.add(message.stamp_ns, *motion, log_ns, is_first=is_first)
                 continue
             T = motion_matrix(np.array(message.translation), np.array(message.rotation))
             if edge.fixed is None:
@@ -229,6 +238,10 @@ class TransformTree:
         """Return the topic of a frame's transforms; empty if unknown."""
         return self._edges[frame].topic if frame in self._edges else ""
 
+    def samples(self, frame: str) -> MotionSamples:
+        """Return the samples of a moving frame."""
+        return self._edges[frame].samples
+
     def parent(self, frame: str) -> str | None:
         """Return the parent of a frame; None if it is unknown."""
         return self._edges[frame].parent if frame in self._edges else None
@@ -246,9 +259,9 @@ class TransformTree:
         if static:
             T = motion_matrix(np.array(message.translation), np.array(message.rotation))
             return was_warned or max(difference(edge.fixed, T)) <= 1e-6
-        return not edge.settled or edge.samples.is_like_first(message)
+        return not edge.settled or edge.samples.is_like(message, 0)
 
-    def with_samples(self, samples: dict[str, MotionSamples]) -> "TransformTree":
+    def with_samples(self, samples: Mapping[str, MotionSamples]) -> "TransformTree":
         """Return a copy with other samples of the moving frames."""
         tree = TransformTree(self.path)
         for frame, edge in self._edges.items():
@@ -276,6 +289,21 @@ class TransformTree:
         parents = f"{edge.parent!r} and {message.parent!r}{where}"
         self._warn(message.child, f"has two parents, {parents}; {used!r} is used")
         return self._edges[message.child] if used == message.parent else None
+
+    def _moves_to(self, topic: str, message: TransformMessage, edge: _Edge) -> bool:
+        """Return whether a moving frame that is on two topics is used from the second one.
+
+        The first topic is used, unless only the second one is named ``tf``.
+        """
+        if edge.fixed is not None:
+            return False
+        is_better = topic.endswith("/tf") and not edge.topic.endswith("/tf")
+        if not edge.samples.is_like(message, -1):
+            used = topic if is_better else edge.topic
+            self._warn(message.child, f"is on {edge.topic} and on {topic}; {used} is used")
+        if is_better:
+            edge.topic, edge.samples = topic, MotionSamples()
+        return is_better
 
     def _paths(self, target: str, source: str) -> tuple[list[str], list[str]] | None:
         """Return the paths from both frames up to their common ancestor, exclusive."""

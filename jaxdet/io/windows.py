@@ -18,12 +18,14 @@ decoded.
 """
 
 from copy import copy
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
 from jaxdet.io.chunks import PAYLOAD_OFFSET
+from jaxdet.io.clocks import LEAST_NS, jumps
 from jaxdet.io.contents import image_stamps
 from jaxdet.io.file_index import Place
 from jaxdet.io.messages import Kind
@@ -130,15 +132,15 @@ class StreamWindows:
             column[which] for column in (self.stamp, self.color_stamp, self.size, self._undecodable)
         )
 
-    def complete(self, *, by_log_time: bool = False) -> "StreamWindows":
+    def complete(self, stamps_ns: np.ndarray) -> "StreamWindows":
         """Return a copy with the order of the messages, after all timestamps have been read.
 
         Args:
-            by_log_time: Whether log times replace the timestamps.
+            stamps_ns: Timestamps that replace those of the messages, ``(N,)`` int64 [ns].
         """
         found = copy(self)
-        if by_log_time:
-            found.stamp = found.color_stamp = self.messages.log_ns
+        found.stamp = stamps_ns
+        found.color_stamp = stamps_ns + (self.color_stamp - self.stamp) * (self.stamp > 0)
         found._order = np.argsort(found.stamp, kind="stable")
         return found
 
@@ -148,25 +150,38 @@ class StreamWindows:
         ends = np.searchsorted(self.stamp, [first_ns, last_ns + 1], sorter=self._order)
         return self._order[max(0, int(ends[0]) - 1) : int(ends[1]) + 1]
 
-    def check_clock(self) -> None:
-        """Check on a sample of messages that timestamps follow log times.
+    def check_clock(self, looks: int = 2) -> None:
+        """Check on a sample of messages that neither the topic's clock nor the recorder's jumps.
 
-        If a clock is adjusted, the difference between timestamps and log times changes for all
-        later messages. If the differences vary by more than allowed for the order of messages, all
-        messages are read.
+        If a clock is adjusted, the delays, i.e. timestamp minus log time, of all later messages
+        change; the adjustment between two messages of the sample is found by bisection.
+
+        Args:
+            looks: Number of messages in the sample.
 
         Raises:
-            RescanError: The messages are too far from the order of their timestamps.
+            RescanError: A clock was adjusted.
             DamageError: A message is not at its position in the index.
         """
         if self.is_complete:
             return
         times = self.messages.log_ns
-        some = np.unique(np.linspace(0, len(self) - 1, min(_LOOKS, len(self))).astype(np.int64))
-        self._load(some)
-        apart = self.stamp[some] - times[some]
-        if len(some) and np.ptp(apart) > REACH * int(times[-1] - times[0]) / len(self):
-            self.ranked(0, len(self))
+
+        def change(ends: tuple[int, int]) -> int:
+            self._load(np.array(ends))
+            first, last = (int(self.stamp[n] - times[n]) for n in ends)
+            return abs(last - first)
+
+        some = np.linspace(0, len(self) - 1, min(looks, len(self))).astype(np.int64)
+        is_adjusted = bool(jumps(times[self.in_file_order()]).any())
+        for ends in pairwise(some.tolist()):
+            while change(ends) > LEAST_NS and ends[1] - ends[0] > 1:
+                middle = sum(ends) // 2
+                ends = max((ends[0], middle), (middle, ends[1]), key=change)
+            is_adjusted |= change(ends) > LEAST_NS
+        if is_adjusted:
+            problem = "a clock was adjusted during the recording"
+            raise RescanError(problem, path=self._path, topic=self.topic)
 
     def ranked(self, first: int, last: int) -> np.ndarray:
         """Return the messages of the frames from ``first`` to ``last``, exclusive.
@@ -204,7 +219,6 @@ class StreamWindows:
         return StreamNotes(
             backward=int((np.diff(stamps) < 0).sum()),
             double=int((np.diff(self.stamp[ranked]) == 0).sum()),
-            zero=int((self.stamp[first:last] == 0).sum()),
             undecodable=int(self._undecodable[first:last].sum()),
         )
 
@@ -258,10 +272,10 @@ class IndexedFrames(NamedTuple):
         return len(self.depth)
 
     def check_clocks(self) -> None:
-        """Check that timestamps follow log times, see :meth:`StreamWindows.check_clock`."""
+        """Check the clocks of depth and colour, see :meth:`StreamWindows.check_clock`."""
         for stream in (self.depth, self.color):
             if stream is not None:
-                stream.check_clock()
+                stream.check_clock(_LOOKS)
 
     def is_plain(self, number: int) -> bool:
         """Return whether a frame's chunk is uncompressed, so that messages can be read separately.
@@ -280,15 +294,6 @@ class IndexedFrames(NamedTuple):
             DamageError: The file contradicts its index.
         """
         return int(self.depth.stamp[self.depth.ranked(number, number + 1)[0]])
-
-    def log_ns(self, number: int) -> int:
-        """Return the log time of a frame [ns].
-
-        Raises:
-            RescanError: The index is not sufficient.
-            DamageError: The file contradicts its index.
-        """
-        return int(self.depth.messages.log_ns[self.depth.ranked(number, number + 1)[0]])
 
     def window(self, start: int, stop: int) -> Window:
         """Return the frames from ``start`` to ``stop``, exclusive.
