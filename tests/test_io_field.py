@@ -1,10 +1,8 @@
 """Logs with properties of real recordings: each is read as the log it was made from."""
 
-import bz2
 import copy
 import json
 import struct
-import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -17,14 +15,13 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from jaxdet.cli.main import main
-from jaxdet.errors import CalibrationError, InputError, JaxdetError, TopicError
+from jaxdet.errors import CalibrationError, InputError, TopicError
 from jaxdet.io import Log, LogOptions, files, find_logs, open_log
 from jaxdet.io.body_frames import T_BODY_OPTICAL
 from jaxdet.io.motion import inverse
 from jaxdet.io.namespaces import namespaces_of_camera
 from jaxdet.sim import SimConfig, write_log
 from tests.io_both_ways import is_indexed
-from tests.io_helpers import convert_log
 from tests.rewritten import (
     Change,
     Message,
@@ -539,74 +536,6 @@ def test_depth_as_jpeg_is_refused_with_the_reason(tmp_path, aligned, topic, form
     for options in ({}, {"depth": topic}):
         with pytest.raises(TopicError, match=r"recorded as JPEG .*distances are lost.*png"):
             opened(tmp_path, messages, **options)
-
-
-def packed_file(source: Path, ending: str) -> Path:
-    target = source.with_name(source.name + ending)
-    pack = bz2.compress if ending == ".bz2" else zstandard.ZstdCompressor().compress
-    target.write_bytes(pack(source.read_bytes()))
-    source.unlink()
-    return target
-
-
-@pytest.mark.parametrize("ending", [".zstd", ".zst", ".bz2"])
-@pytest.mark.parametrize("form", ["mcap", "db3", "bag"])
-def test_compressed_files_are_read(tmp_path, monkeypatch, aligned, form, ending):
-    elsewhere = tmp_path.with_name(f"{tmp_path.name}-elsewhere")
-    elsewhere.mkdir()
-    monkeypatch.setenv("TMPDIR", str(elsewhere))
-    monkeypatch.setattr(tempfile, "tempdir", None)
-    source = write_messages(tmp_path / "drive.mcap", aligned)
-    if form != "mcap":
-        mcap = source
-        source = convert_log(mcap, tmp_path / ("drive" if form == "db3" else "drive.bag"))
-        mcap.unlink()
-    with open_log(str(source)) as whole:
-        expected = depths(whole)
-    packed = packed_file(source, ending)
-    with open_log(str(packed)) as log:
-        assert log.name == whole.name
-        np.testing.assert_array_equal(depths(log), expected)
-    [found] = find_logs([packed.parent])
-    assert found.paths == (packed,) and found.name == whole.name
-
-
-def test_compressed_splits_are_one_recording(tmp_path, aligned):
-    middle = len(aligned) // 2
-    ordered = sorted(aligned, key=lambda item: item.log_ns)
-    for number, part in enumerate((ordered[:middle], ordered[middle:])):
-        packed_file(write_messages(tmp_path / f"run_{number}.mcap", part), ".zstd")
-    with open_log(str(tmp_path)) as log:
-        assert log.name == "run" and log.num_frames == 6
-
-
-def test_damage_in_a_compressed_file_is_reported_by_its_name(tmp_path, aligned):
-    source = write_messages(tmp_path / "x.mcap", aligned)
-    source.write_bytes(source.read_bytes()[:-100])
-    packed = packed_file(source, ".zst")
-    with open_log(str(packed)) as log:
-        assert log.num_frames == 6
-        [text] = [text for text in log.description.warnings if "recovered" in text]
-        assert text.startswith(f"{packed}: ")
-    packed.write_bytes(zstandard.ZstdCompressor().compress(b"not a log"))
-    with pytest.raises(InputError, match=r"x\.mcap\.zst: not an MCAP file"):
-        open_log(str(packed))
-
-
-@pytest.mark.parametrize("ending", [".zstd", ".bz2"])
-def test_damaged_compressed_files_and_bombs_are_clear_errors(tmp_path, aligned, ending):
-    packed = packed_file(write_messages(tmp_path / "x.mcap", aligned), ending)
-    packed.write_bytes(packed.read_bytes()[: packed.stat().st_size // 2])
-    with pytest.raises(JaxdetError, match=r"x\.mcap.*(decompress|no end of file)"):
-        open_log(str(packed))
-    bomb = tmp_path / f"bomb.mcap{ending}"
-    bomb.write_bytes(b"")
-    with pytest.raises(InputError, match="bomb"):
-        open_log(str(bomb))
-    pack = bz2.compress if ending == ".bz2" else zstandard.ZstdCompressor().compress
-    bomb.write_bytes(pack(bytes(80 << 20)))
-    with pytest.raises(InputError, match=r"exceeds \d+MiB"):
-        open_log(str(bomb))
 
 
 def stored(

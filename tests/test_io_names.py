@@ -309,6 +309,10 @@ def test_unsupported_archives_and_several_logs_are_refused(tmp_path):
     touch(tmp_path, "x/run_0.zstd")
     with pytest.raises(InputError, match=r"run_0\.zstd.*NAME\.mcap\.zstd"):
         find_logs([str(tmp_path)])
+    touch(tmp_path, "z/run.tar.zst")
+    for given in (tmp_path / "z", tmp_path / "z/run.tar.zst"):
+        with pytest.raises(InputError, match=r"run\.tar\.zst: \.tar files are not .*; unpack it"):
+            find_logs([str(given)])
     touch(tmp_path, "y/a.mcap", "y/b.mcap")
     with pytest.raises(InputError, match="expected one log, found 2"):
         open_log(str(tmp_path / "y"))

@@ -28,7 +28,7 @@ from mcap.opcode import Opcode
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, ChunkHead, DamageError
-from jaxdet.io.container import FileState, LogFile, Walk
+from jaxdet.io.container import FileState, LogFile, Source, Walk
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import MAX_CHANNEL, FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, MAX_SCHEMAS_BYTES
@@ -93,11 +93,16 @@ class BagFile(LogFile):
     """
 
     magic = MAGIC
-    kind = "a ROS 1 bag (version 2.0)"
 
-    def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        max_bytes: int,
+        state: FileState | None = None,
+        source: Source | None = None,
+    ) -> None:
         _require_rosbags(path)
-        super().__init__(path, max_bytes, state)
+        super().__init__(path, max_bytes, state, source)
         try:
             self.head = self.record(len(MAGIC))
             self.index = self.head.number(b"index_pos", 8) if self.head.op == BAG else 0
@@ -109,10 +114,12 @@ class BagFile(LogFile):
 
     def without_index(self, why: str) -> InputError:
         """Return the error for a bag whose index is missing or damaged."""
-        remedy = "run rosbag reindex on a copy"
-        return InputError(
-            f"the bag has no usable index ({why})", path=str(self.path), remedy=remedy
-        )
+        problem, remedy = f"the bag has no usable index ({why})", "run rosbag reindex on a copy"
+        if self.note:
+            problem, remedy = self.note, "copy or compress the original bag again"
+        elif self.source.path != self.path:
+            remedy = "decompress it and run rosbag reindex"
+        return InputError(problem, path=str(self.path), remedy=remedy)
 
     def read_index(self) -> FileIndex:
         """Read the index of the bag, see :meth:`LogFile.read_index`."""

@@ -26,8 +26,6 @@ from jaxdet.io.limits import ReadMemory, check_chunk, check_count, check_index
 
 T = TypeVar("T")
 
-RECORDINGS = (".mcap", ".db3", ".bag")
-"""Suffixes of recordings, by priority among several formats of the same recording."""
 _MESSAGE = "message"
 """Compression name of chunks that can't be read by their position in the file."""
 _PASSING = errno.EIO, errno.ETIMEDOUT
@@ -52,67 +50,57 @@ class FileState(NamedTuple):
         return cls(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
 
 
-class LogFile(ABC):
-    """An open file. Threads may share it, since each read passes its own position.
+class Source(NamedTuple):
+    """Bytes of a log file on the disk."""
 
-    Args:
-        path: File.
-        max_bytes: Maximum size of a chunk or message, before and after decompression.
-        state: State that the file must have; by default its current state.
-
-    Attributes:
-        named: Path shown to users; that of the compressed file if ``path`` is a decompressed copy.
-
-    Raises:
-        InputError: The file can't be opened, or its format or state is not the expected one.
-    """
-
-    magic: bytes
-    """Magic bytes at the start of the file."""
-    kind: str
-    """Name of the format, for errors."""
+    path: Path
+    """File that is read: the log file, or a decompressed copy of it."""
     note: str = ""
     """Warning about the contents; empty if there is none."""
-    memory: ReadMemory = ReadMemory()
-    """Limits of the memory for reading."""
+    start: int = 0
+    """Position at which the log file starts in ``path`` [byte]."""
+    size: int | None = None
+    """Size of the log file [byte]; None: up to the end of ``path``."""
 
-    def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
-        self.path, self.named, self.max_bytes = path, path, max_bytes
+
+class BytesFile:
+    """An open file, read by position, so that threads may share it.
+
+    Args:
+        path: File, as passed by the user.
+        state: State that the file must have; by default its current state.
+        source: Bytes of the file; by default those in ``path``.
+
+    Raises:
+        InputError: The file can't be opened, or its state is not the expected one.
+    """
+
+    def __init__(
+        self, path: Path, state: FileState | None = None, source: Source | None = None
+    ) -> None:
+        self.path, self.source = path, source or Source(path)
         self._patience_s = _PATIENCE_S
         with ExitStack() as failed:
             try:
-                self._file = failed.enter_context(path.open("rb", buffering=0))
+                self._file = failed.enter_context(self.source.path.open("rb", buffering=0))
                 self._descriptor = self._file.fileno()
                 self.state = state or FileState.of(os.fstat(self._descriptor))
-                self.size = self.state.size
-                self.check_unchanged()
-                magic = self.read(0, min(self.size, len(self.magic)))
-            except (OSError, DamageError) as error:
-                text = getattr(error, "strerror", None) or error
-                problem = f"can't be read ({text})"
-                raise InputError(problem, path=str(path), remedy="check the file") from error
-            if magic != self.magic or self.size <= 2 * len(self.magic):
-                problem = "the file is empty" if not self.size else f"not {self.kind} file"
-                if magic == self.magic:
-                    problem = f"the {self.kind.partition(' ')[2]} file has no records"
-                remedy = "record it again or exclude it"
-                if path.suffix.lower() not in RECORDINGS:
-                    remedy = (
-                        "unpack it, or convert it to MCAP or to a folder of images, see jaxdet "
-                    )
-                    remedy += "help logs"
-                raise InputError(problem, path=str(path), remedy=remedy)
+            except OSError as error:
+                raise unreadable(error, path) from error
+            rest = max(0, self.state.size - self.source.start)
+            self.size = rest if self.source.size is None else min(rest, self.source.size)
+            self.check_unchanged()
             failed.pop_all()
-
-    def __reduce__(self) -> tuple:
-        """Pickle the arguments; another process opens the file again."""
-        arguments = self.path, self.max_bytes, self.state
-        return type(self), arguments, {"memory": self.memory, "named": self.named}
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
         self._descriptor = -1
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the file was not closed yet."""
+        return self._descriptor >= 0
 
     def check_unchanged(self) -> None:
         """Check that the file has not changed since it was opened.
@@ -121,14 +109,108 @@ class LogFile(ABC):
             InputError: Size or modification time differ, or another file has this name.
         """
         try:
-            states = self._call(os.fstat, self._descriptor), self._call(os.stat, self.path)
+            states = self._call(os.fstat, self._descriptor), self._call(os.stat, self.source.path)
             found = {FileState.of(state) for state in states}
         except OSError:
             found = set()
         if found != {self.state}:
             problem = "the file was changed while it was read"
             remedy = "wait until nothing writes to it, then run again"
-            raise InputError(problem, path=str(self.named), remedy=remedy)
+            raise InputError(problem, path=str(self.path), remedy=remedy)
+
+    def read(self, position: int, size: int) -> bytes:
+        """Return exactly ``size`` bytes from ``position``.
+
+        Raises:
+            DamageError: The file ends earlier, or is unreadable there.
+            InputError: The file was changed since it was opened.
+        """
+        self._check_within(position, size)
+        try:
+            data = self._call(os.pread, self._descriptor, size, self.source.start + position)
+        except (OSError, OverflowError, ValueError) as error:
+            raise _damage(error) from error
+        if len(data) == size:
+            return data
+        rest = bytearray(size - len(data))
+        self.read_into(position + len(data), memoryview(rest))
+        return data + rest
+
+    def read_into(self, position: int, memory: memoryview) -> None:
+        """Fill a writable byte view with the bytes from ``position`` on.
+
+        Raises:
+            DamageError: The file ends earlier, or is unreadable there.
+            InputError: The file was changed since it was opened.
+        """
+        self._check_within(position, len(memory))
+        position += self.source.start
+        while len(memory):
+            try:
+                count = self._call(os.preadv, self._descriptor, [memory], position)
+            except (OSError, OverflowError, ValueError) as error:
+                raise _damage(error) from error
+            if not count:
+                self.check_unchanged()
+                raise DamageError("file ends early")
+            position, memory = position + count, memory[count:]
+
+    def _check_within(self, position: int, size: int) -> None:
+        if not 0 <= position <= self.size - size:
+            self.check_unchanged()
+            raise DamageError("file ends early")
+
+    def _call(self, function: Callable[..., Any], *args: Any) -> Any:
+        """Call a system function; retry after errors that may be temporary.
+
+        Raises:
+            OSError: The call still fails.
+        """
+        for wait_s in _WAITS_S:
+            try:
+                return function(*args)
+            except OSError as error:
+                if error.errno not in _PASSING or self._patience_s < wait_s:
+                    raise
+            self._patience_s -= wait_s
+            time.sleep(wait_s)
+        return function(*args)
+
+
+class LogFile(BytesFile, ABC):
+    """A file of a log.
+
+    Args:
+        path: File, as passed by the user.
+        max_bytes: Maximum size of a chunk or message, before and after decompression.
+        state: State that the file must have; by default its current state.
+        source: Bytes of the file; by default those in ``path``.
+
+    Raises:
+        InputError: The file can't be opened, or its state is not the expected one.
+    """
+
+    magic: bytes
+    """Magic bytes at the start of the file."""
+    note: str = ""
+    """Warning about the contents; empty if there is none."""
+    memory: ReadMemory = ReadMemory()
+    """Limits of the memory for reading."""
+
+    def __init__(
+        self,
+        path: Path,
+        max_bytes: int,
+        state: FileState | None = None,
+        source: Source | None = None,
+    ) -> None:
+        super().__init__(path, state, source)
+        self.max_bytes, self.note = max_bytes, self.source.note
+
+    def __reduce__(self) -> tuple:
+        """Pickle the arguments; another process opens the file again."""
+        arguments = self.path, self.max_bytes, self.state, self.source
+        return type(self), arguments, {"memory": self.memory}
 
     def check_size(self, size: int, what: str = "chunk") -> None:
         """Check that a chunk, or other data read at once, has at most ``max_bytes``.
@@ -147,7 +229,7 @@ class LogFile(ABC):
             ChunkMemoryError: There is too little memory.
         """
         self.check_size(size, what)
-        check_chunk(size, str(self.named), self.memory)
+        check_chunk(size, str(self.path), self.memory)
 
     def check_messages(self, count: int) -> None:
         """Check that ``count`` messages fit in the file, and their index in memory.
@@ -155,8 +237,8 @@ class LogFile(ABC):
         Raises:
             InputError: There are too many messages.
         """
-        check_count("messages", count, self.size, str(self.named))
-        check_index(count, str(self.named), self.memory)
+        check_count("messages", count, self.size, str(self.path))
+        check_index(count, str(self.path), self.memory)
 
     @abstractmethod
     def read_index(self) -> FileIndex:
@@ -218,59 +300,6 @@ class LogFile(ABC):
     def name_of(self, position: int) -> str:
         """Return the file name of the image in the chunk; empty if it is not an image file."""
         return ""
-
-    def read(self, position: int, size: int) -> bytes:
-        """Return exactly ``size`` bytes from ``position``.
-
-        Raises:
-            DamageError: The file ends earlier, or is unreadable there.
-            InputError: The file was changed since it was opened.
-        """
-        try:
-            data = self._call(os.pread, self._descriptor, size, position)
-        except (OSError, OverflowError, ValueError) as error:
-            raise _unreadable(error) from error
-        if len(data) == size:
-            return data
-        if position + size > self.size:
-            self.check_unchanged()
-            raise DamageError("file ends early")
-        rest = bytearray(size - len(data))
-        self.read_into(position + len(data), memoryview(rest))
-        return data + rest
-
-    def read_into(self, position: int, memory: memoryview) -> None:
-        """Fill a writable byte view with the bytes from ``position`` on.
-
-        Raises:
-            DamageError: The file ends earlier, or is unreadable there.
-            InputError: The file was changed since it was opened.
-        """
-        while len(memory):
-            try:
-                count = self._call(os.preadv, self._descriptor, [memory], position)
-            except (OSError, OverflowError, ValueError) as error:
-                raise _unreadable(error) from error
-            if not count:
-                self.check_unchanged()
-                raise DamageError("file ends early")
-            position, memory = position + count, memory[count:]
-
-    def _call(self, function: Callable[..., Any], *args: Any) -> Any:
-        """Call a system function; retry after errors that may be temporary.
-
-        Raises:
-            OSError: The call still fails.
-        """
-        for wait_s in _WAITS_S:
-            try:
-                return function(*args)
-            except OSError as error:
-                if error.errno not in _PASSING or self._patience_s < wait_s:
-                    raise
-            self._patience_s -= wait_s
-            time.sleep(wait_s)
-        return function(*args)
 
 
 class MessageRow(NamedTuple):
@@ -412,5 +441,11 @@ class Walk:
         return file_index(dict(infos), messages, integrity)
 
 
-def _unreadable(error: Exception) -> DamageError:
+def unreadable(error: Exception, path: Path) -> InputError:
+    """Return the error for a file or folder that the system can't open or read."""
+    problem = f"can't be read ({getattr(error, 'strerror', None) or error})"
+    return InputError(problem, path=str(path), remedy="check the file")
+
+
+def _damage(error: Exception) -> DamageError:
     return DamageError(f"file can't be read ({getattr(error, 'strerror', None) or error})")

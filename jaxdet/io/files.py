@@ -10,17 +10,17 @@ from pathlib import Path, PurePath
 from typing import NamedTuple, TypeVar
 
 from jaxdet.errors import InputError, printable
-from jaxdet.io.container import RECORDINGS
 from jaxdet.io.folders.layouts import LAYOUTS, image_folders
 from jaxdet.io.folders.recording import APPLE_DOUBLE
-from jaxdet.io.formats import PACKED, is_packed
+from jaxdet.io.formats import PACKED, RECORDINGS, bare_name
 from jaxdet.io.splits import Recording, recording_around, recordings, signature
 
 SUFFIXES = (*RECORDINGS, *PACKED)
 """Suffixes of the files that are read, by priority. The name of a compressed file has two suffixes,
 such as ``.mcap.zst``."""
+_ENDINGS = ["|".join(map(re.escape, suffixes)) for suffixes in (RECORDINGS, PACKED)]
 _SPLIT = re.compile(
-    r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})\.(?i:mcap|db3|bag)(?i:\.zstd|\.zst|\.bz2)?"
+    r"(?P<stem>.+)_(?P<number>\d{1,5}|00\d{4,})" + "(?i:{})(?i:{})?".format(*_ENDINGS)
 )
 """Name of a split. Numbers of six and more digits are dates or times unless they start with 00."""
 _BEGIN = re.compile(r"(?:^|_)\d{4}(?:-\d\d){5}$")
@@ -28,9 +28,6 @@ _BEGIN = re.compile(r"(?:^|_)\d{4}(?:-\d\d){5}$")
 _AS_IMAGES = "write its frames as PNG to color/ and depth/ with a camera.json, see jaxdet help logs"
 _ZED = "play it with zed-ros2-wrapper and record the topics as MCAP"
 _OTHERS = {
-    ".zstd": "rename the recording to NAME.mcap.zstd",
-    ".zst": "rename the recording to NAME.mcap.zst",
-    ".bz2": "rename the recording to NAME.bag.bz2",
     ".mcap.active": "remove .active from its name once nothing writes to it",
     ".db3.active": "remove .active from its name once nothing writes to it",
     ".active": "run rosbag reindex on it and rename it to .bag",
@@ -43,6 +40,9 @@ _OTHERS = {
     "help logs shows",
 }
 """Unsupported recordings by the end of their names, with remedies; the first match counts."""
+_ARCHIVES = dict.fromkeys((".tar", ".tgz", ".zip", ".7z", ".rar"), "unpack it")
+_ARCHIVES |= dict.fromkeys((".xz", ".lz4"), "decompress it")
+"""Files that may contain a recording, with remedies; next to a recording they are ignored."""
 _PNG = "convert it to 16-bit PNG in millimetres, as jaxdet help logs shows (the Python package "
 _PNG += "OpenEXR reads it)"
 EXPORTED = ".jaxdet.mcap"
@@ -247,14 +247,13 @@ def _files(text: str) -> tuple[list[Path], str]:
     shut = [item for item in rest if os.path.isdir(item)]
     links = [item for item in rest if item.is_symlink() and _is_recording(item)]
     gone = [item for item in links if not os.path.exists(item)]
-    others = [file for file in seen if _advice(file)]
+    others = {file: found for file in seen if (found := _unsupported(file))[1]}
     datasets = [file.parents[1] for file in seen if _is_dataset(file)]
     exports = [file for file in seen if _is_export(file)]
     found = [file for file in seen if _is_recording(file) and not _is_export(file)]
     if path.is_file():
-        if others:
-            problem = f"{path.suffix} files are not supported"
-            raise InputError(problem, path=text, remedy=_advice(path))
+        for ending, remedy in others.values():
+            raise InputError(f"{ending} files are not supported", path=text, remedy=remedy)
         return seen, ""
     places = {file.parent for file in found}
     images = image_folders(seen)
@@ -273,7 +272,7 @@ def _files(text: str) -> tuple[list[Path], str]:
     if not found:
         raise _nothing(text, others, exports, gone)
     taken, left = _preferred(found, _overlap)
-    left += [(file, _advice(file)) for file in others]
+    left += [(file, why) for file, (ending, why) in others.items() if ending not in _ARCHIVES]
     left += [(file, "a broken link") for file in gone]
     left += [(item, "a link to a parent folder") for item in above]
     left += [(file, "an export of jaxdet") for file in exports]
@@ -289,43 +288,47 @@ def _within_input(file: Path, named: Path) -> str:
     return printable(str(file.relative_to(named) if file.is_relative_to(named) else file.name))
 
 
-def _advice(file: Path) -> str:
-    """Return the remedy for an unsupported recording; empty for all other files."""
+def _unsupported(file: Path) -> tuple[str, str]:
+    """Return the ending of an unsupported recording or archive, and its remedy; else empty."""
     if _is_recording(file):
-        return ""
-    name = file.name.lower()
-    return next((remedy for ending, remedy in _OTHERS.items() if name.endswith(ending)), "")
+        return "", ""
+    bare, known = bare_name(file), _OTHERS | _ARCHIVES
+    if not bare.suffix and bare != file:
+        return file.suffix, f"rename the recording to NAME.mcap{file.suffix}"
+    ending = next((ending for ending in known if bare.name.lower().endswith(ending)), "")
+    return ending, known.get(ending, "")
 
 
 def _nothing(
-    text: str, others: Sequence[Path], exports: Sequence[Path], gone: Sequence[Path]
+    text: str,
+    others: Mapping[Path, tuple[str, str]],
+    exports: Sequence[Path],
+    gone: Sequence[Path],
 ) -> InputError:
-    """Return the error for an input without logs, depending on its other contents."""
+    """Return the error for an input without logs, depending on its other contents.
+
+    ``others`` has results of :func:`_unsupported`.
+    """
     if others:
-        where, remedy = str(others[0]), _advice(others[0])
-        problem = f"{others[0].suffix} files are not supported, and the input has no others"
+        where, (ending, remedy) = next(iter(others.items()))
+        problem = f"{ending} files are not supported, and the input has no others"
     elif exports:
-        where, remedy = str(exports[0]), "pass the original log"
+        where, remedy = exports[0], "pass the original log"
         problem = "this is an export of jaxdet, and the input has no other files"
     elif gone:
-        where, remedy = str(gone[0]), "correct the link"
+        where, remedy = gone[0], "correct the link"
         problem = "this is a broken link, and the input has no other files"
     else:
         layouts = ", ".join(layout.names for layout in LAYOUTS)
         remedy = f"pass an MCAP file, or a folder of images in one of these layouts: {layouts}"
-        where, remedy = text, f"{remedy} (jaxdet help logs describes them)"
+        where, remedy = Path(text), f"{remedy} (jaxdet help logs describes them)"
         problem = "no .mcap, .bag or .db3 file and no folder of images found"
-    return InputError(problem, path=where, remedy=remedy)
+    return InputError(problem, path=str(where), remedy=remedy)
 
 
 def _is_recording(file: PurePath) -> bool:
     """Return whether the format of a file is supported, by its name."""
-    return (file.with_suffix("") if is_packed(file) else file).suffix.lower() in RECORDINGS
-
-
-def _bare_name(file: PurePath) -> str:
-    """Return the name of a file without the suffixes of its format."""
-    return (file.with_suffix("") if is_packed(file) else file).stem
+    return bare_name(file).suffix.lower() in RECORDINGS
 
 
 def _is_export(file: PurePath) -> bool:
@@ -441,7 +444,7 @@ def _within(path: Path, skipped: list[Path]) -> Iterable[Path]:
 def _split(path: PurePath) -> tuple[str, int]:
     """Return the common name of a recording's splits, and the split number; -1: not a split."""
     match = _SPLIT.fullmatch(path.name)
-    return (match["stem"], int(match["number"])) if match else (_bare_name(path), -1)
+    return (match["stem"], int(match["number"])) if match else (bare_name(path).stem, -1)
 
 
 def _series(stem: str) -> str:
@@ -461,7 +464,7 @@ def recording_name(first: PurePath, *, joined: bool) -> str:
         joined: Whether the recording has further files.
     """
     stem, number = _split(first)
-    return stem if joined and 0 <= number <= 1 else _bare_name(first)
+    return stem if joined and 0 <= number <= 1 else bare_name(first).stem
 
 
 def listed_recordings(

@@ -1,34 +1,48 @@
-"""Opening of files by their format; compressed recordings are decompressed to temporary files.
+"""Opening of files by their content; compressed recordings are decompressed to temporary files.
 
-rosbag2 names compressed files ``NAME_0.mcap.zstd``; ``zstd`` and ``bzip2`` append ``.zst`` and
-``.bz2``. The decompressed file is in a folder of the user under the system's temporary folder
-(``TMPDIR``), and is removed when the process that created it ends.
+rosbag2 names compressed files ``NAME_0.mcap.zstd``; ``zstd``, ``bzip2`` and ``gzip`` append
+``.zst``, ``.bz2`` and ``.gz``. The decompressed file is in a new folder in the system's temporary
+folder (``TMPDIR``), and is removed when the process ends, or earlier if another file needs the
+space. If a compressed file is truncated or damaged, the data before the damage are used.
 """
 
 import atexit
-import bz2
-import hashlib
 import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path, PurePath
+from typing import NamedTuple
+from weakref import WeakSet
 
-import zstandard
+import pyarrow as pa
 
-from jaxdet.errors import InputError
+from jaxdet.errors import InputError, printable
 from jaxdet.io.bag import BagFile
-from jaxdet.io.container import LogFile
+from jaxdet.io.chunks import DamageError
+from jaxdet.io.container import BytesFile, FileState, LogFile, Source, unreadable
 from jaxdet.io.image_folder import ImageFolder
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.mcap_file import McapFile
 from jaxdet.io.sqlite import SqliteFile
 from jaxdet.memory import size_text
 
-PACKED = (".zstd", ".zst", ".bz2")
+RECORDINGS = {
+    ".mcap": (McapFile, "an MCAP file"),
+    ".db3": (SqliteFile, "a rosbag2 SQLite file"),
+    ".bag": (BagFile, "a ROS 1 bag (version 2.0)"),
+}
+"""Formats of recordings by suffix, in order of preference if a recording exists in several."""
+PACKED = (".zstd", ".zst", ".bz2", ".gz")
 """Suffixes of compressed files."""
+_CODECS = {
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"\x50\x2a\x4d\x18": "zstd",  # first frame of pzstd
+    b"BZh": "bz2",
+    b"\x1f\x8b": "gzip",
+}
+"""Compressions that are read, by the first bytes of the file."""
 MAX_UNPACKED_BYTES = 64 << 30
 """Maximum size of a decompressed recording [byte]."""
 _MAX_RATIO, _FREE_BYTES = 200, 64 << 20
@@ -36,15 +50,47 @@ _MAX_RATIO, _FREE_BYTES = 200, 64 << 20
 allowed."""
 _SPARE_BYTES = 1 << 30
 """Disk space that is left free [byte]."""
-_PIECE_BYTES = 4 << 20
+_PIECE_BYTES = 16 << 10
+"""Number of bytes decompressed at a time, and at most lost before a damaged part."""
+_FOLDER = "jaxdet-unpacked-"
 _OLD_S = 7 * 24 * 3600
 """Age from which files left behind by killed processes are removed [s]."""
-_SUFFIXES: dict[str, type[LogFile]] = {".bag": BagFile, ".db3": SqliteFile}
-"""File classes by suffix; files with other suffixes are opened as MCAP."""
+_HEAD_BYTES = 512
+_TEXT = {*range(0x20, 0x7F), *range(0x80, 0x100), *b"\t\r\n"}
+"""Bytes that occur in text."""
+_copies: dict[FileState, Source] = {}
+"""Decompressed copies made by this process, by the state of the compressed file."""
+_files = WeakSet[LogFile]()
+"""Files of ``_copies`` that were opened."""
+
+
+class _Content(NamedTuple):
+    """Content of a file that is not a recording."""
+
+    begin: bytes
+    """First bytes, in lower case."""
+    name: str
+    remedy: str
+
+
+_DOWNLOAD = "it may be an error message of a server; download the recording again"
+_CONTENTS = (
+    _Content(b"version https://git-lfs", "a Git LFS pointer", "run git lfs pull"),
+    _Content(b"<!doctype html", "an HTML page", _DOWNLOAD),
+    _Content(b"<html", "an HTML page", _DOWNLOAD),
+    _Content(b"<?xml", "an XML document", _DOWNLOAD),
+    _Content(b"{", "a JSON document", _DOWNLOAD),
+    _Content(b"pk\3\4", "a ZIP archive", "unpack it"),
+    _Content(b"7z\xbc\xaf", "a 7z archive", "unpack it"),
+    _Content(b"rar!", "a RAR archive", "unpack it"),
+    _Content(b"\xfd7zxz\0", "compressed with xz", "decompress it with xz -d"),
+    _Content(b"\4\x22\x4d\x18", "compressed with lz4", "decompress it with lz4 -d"),
+    _Content(b"#rosbag v1", "a ROS 1 bag of version 1", "convert it with rosbag compress"),
+)
 
 
 def open_file(path: Path, max_bytes: int, memory: ReadMemory | None = None) -> LogFile:
-    """Open a file of a log; compressed files are decompressed to a temporary file.
+    """Open a file of a log by its content; compressed files are decompressed to a temporary file.
 
     Args:
         path: File or folder.
@@ -52,17 +98,22 @@ def open_file(path: Path, max_bytes: int, memory: ReadMemory | None = None) -> L
         memory: Limits of the memory for reading.
 
     Raises:
-        InputError: The file can't be opened, or does not have the format of its suffix.
+        InputError: The file can't be opened, or is not a recording.
     """
-    source = _unpacked(path) if is_packed(path) and path.is_file() else path
-    kind = ImageFolder if source.is_dir() else _SUFFIXES.get(source.suffix.lower(), McapFile)
-    try:
-        file = kind(source, max_bytes)
-    except InputError as error:
-        if source == path:
-            raise
-        raise InputError(error.problem, path=str(path), remedy=error.remedy) from error
-    file.named = path
+    if path.is_dir():
+        file: LogFile = ImageFolder(path, max_bytes)
+    else:
+        source = Source(path)
+        size, head = _head(path, source)
+        codec = next((name for magic, name in _CODECS.items() if head.startswith(magic)), "")
+        if codec:
+            source = _unpacked(path, codec)
+            size, head = _head(path, source)
+        kinds = [kind for kind, _ in RECORDINGS.values() if head.startswith(kind.magic)]
+        if not kinds or size <= 2 * len(kinds[0].magic):
+            raise _not_a_recording(path, size, head)
+        file = kinds[0](path, max_bytes, source=source)
+        _files.add(file)
     file.memory = memory or ReadMemory()
     return file
 
@@ -72,75 +123,121 @@ def is_packed(path: PurePath) -> bool:
     return path.suffix.lower() in PACKED
 
 
-def _unpacked(path: Path) -> Path:
-    """Return the path of a decompressed copy of a recording, which is created if necessary.
+def bare_name(path: PurePath) -> PurePath:
+    """Return the name of a recording without the suffix of its compression."""
+    return path.with_suffix("") if is_packed(path) else path
+
+
+def _head(path: Path, source: Source) -> tuple[int, bytes]:
+    """Return the size of a file, and its first bytes.
 
     Raises:
-        InputError: The file is damaged or too large, or there is too little disk space.
+        InputError: The file can't be read.
+    """
+    with closing(BytesFile(path, source=source)) as file:
+        try:
+            return file.size, file.read(0, min(file.size, _HEAD_BYTES))
+        except DamageError as error:
+            raise unreadable(error, path) from error
+
+
+def _not_a_recording(path: Path, size: int, head: bytes) -> InputError:
+    """Return the error for a file with other content than its suffix says."""
+    suffix = bare_name(path).suffix.lower()
+    _, name = RECORDINGS.get(suffix, RECORDINGS[".mcap"])
+    begin = head.lstrip(b"\xef\xbb\xbf \t\r\n").lower()
+    found = [content for content in _CONTENTS if begin.startswith(content.begin)]
+    what, remedy = "", "record or copy it again, or exclude it"
+    if any(head.startswith(kind.magic) for kind, _ in RECORDINGS.values()):
+        problem = "the recording has no records"
+    elif not size:
+        problem = "the file is empty"
+    else:
+        if found:
+            what, remedy = found[0].name, found[0].remedy
+        elif head[257:262] == b"ustar":
+            what, remedy = "a tar archive", "unpack it"
+        elif not any(head):
+            what, remedy = "zeros, as if it was never written", "copy the recording again"
+        elif all(byte in _TEXT for byte in head):
+            line = head[:40].decode(errors="replace").partition("\n")[0]
+            what = f"text that begins with '{printable(line)}'"
+        problem = f"not {name}" + (f", but {what}" if what else "")
+    return InputError(problem, path=str(path), remedy=remedy)
+
+
+def _unpacked(path: Path, codec: str) -> Source:
+    """Return a decompressed copy of a recording, which is created if necessary.
+
+    Raises:
+        InputError: The file can't be decompressed, is too large, or there is too little disk space.
     """
     try:
-        state = path.stat()
-        folder = _own_folder()
-        about = f"{path.resolve()}|{state.st_ino}|{state.st_size}|{state.st_mtime_ns}"
-        place = folder / hashlib.sha256(about.encode("utf-8", "surrogateescape")).hexdigest()[:16]
-        target = place / path.with_suffix("").name
-        if not target.exists():
-            _remove_old(folder)
-            place.mkdir(exist_ok=True)
-            atexit.register(shutil.rmtree, place, ignore_errors=True)
-            _unpack(path, target, state.st_size)
-    except (OSError, EOFError, zstandard.ZstdError) as error:
-        problem = f"can't be decompressed ({getattr(error, 'strerror', None) or error})"
-        remedy = "check the file, or decompress it manually"
+        state = FileState.of(path.stat())
+        if state not in _copies or not _copies[state].path.exists():
+            _remove_old()
+            folder = Path(tempfile.mkdtemp(prefix=_FOLDER))
+            atexit.register(shutil.rmtree, folder, ignore_errors=True)
+            _copies[state] = _unpack(path, codec, folder / "recording", state.size)
+        return _copies[state]
+    except OSError as error:
+        problem = f"can't be decompressed ({error.strerror or error})"
+        remedy = "copy or compress the original file again"
         raise InputError(problem, path=str(path), remedy=remedy) from error
-    return target
 
 
-def _own_folder() -> Path:
-    """Return a folder that is writable only by this user."""
-    folder = Path(tempfile.gettempdir(), f"jaxdet-{os.getuid()}")
-    folder.mkdir(mode=0o700, exist_ok=True)
-    about = folder.lstat()
-    if about.st_uid != os.getuid() or about.st_mode & 0o077 or folder.is_symlink():
-        raise PermissionError(None, f"{folder} belongs to another user or is accessible to others")
-    return folder
+def _room(target: Path) -> int:
+    return shutil.disk_usage(target.parent).free - _SPARE_BYTES
 
 
-def _remove_old(folder: Path) -> None:
-    for place in folder.iterdir():
+def _remove_unused() -> None:
+    """Remove the copies of logs that are no longer open."""
+    used = {file.source.path for file in _files if file.is_open}
+    for state, copy in [*_copies.items()]:
+        if copy.path not in used:
+            shutil.rmtree(copy.path.parent, ignore_errors=True)
+            del _copies[state]
+
+
+def _remove_old() -> None:
+    """Remove the copies that killed processes have left behind."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{_FOLDER}*"):
         with suppress(OSError):
-            if time.time() - place.stat().st_mtime > _OLD_S:
-                shutil.rmtree(place, ignore_errors=True)
+            about = folder.stat()
+            if about.st_uid == os.getuid() and time.time() - about.st_mtime > _OLD_S:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
-def _unpack(path: Path, target: Path, packed_bytes: int) -> None:
-    most = min(MAX_UNPACKED_BYTES, _MAX_RATIO * packed_bytes + _FREE_BYTES)
-    room = shutil.disk_usage(target.parent).free - _SPARE_BYTES
-    part, size = target.with_name(f"{target.name}.{os.getpid()}"), 0
-    try:
-        with part.open("wb") as file:
-            for piece in _pieces(path):
-                size += len(piece)
-                if size > min(most, room):
-                    raise _too_large(path, most, room)
-                file.write(piece)
-        part.replace(target)
-    finally:
-        part.unlink(missing_ok=True)
+def _unpack(path: Path, codec: str, target: Path, packed_bytes: int) -> Source:
+    """Decompress a file up to its end, or up to a damaged part.
 
-
-def _pieces(path: Path) -> Iterator[bytes]:
-    if path.suffix.lower() == ".bz2":
-        with bz2.open(path) as file:
-            while piece := file.read(_PIECE_BYTES):
-                yield piece
-        return
+    Raises:
+        InputError: The decompressed file is too large, or there is too little disk space.
+        OSError: A file can't be read or written, or is damaged from its start on.
+    """
+    most, size = min(MAX_UNPACKED_BYTES, _MAX_RATIO * packed_bytes + _FREE_BYTES), 0
+    if _room(target) < most:
+        _remove_unused()
+    room = _room(target)
     with (
-        path.open("rb") as packed,
-        zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader,
+        target.open("wb") as file,
+        pa.OSFile(str(path)) as packed,
+        pa.CompressedInputStream(packed, codec) as stream,
     ):
-        while piece := reader.read(_PIECE_BYTES):
-            yield piece
+        while True:
+            try:
+                piece = stream.read(_PIECE_BYTES)
+            except OSError as error:
+                if not size:
+                    raise
+                problem = f"the compressed file is truncated or damaged ({error})"
+                return Source(target, f"{problem}; {size_text(size)} were decompressed")
+            if not piece:
+                return Source(target)
+            size += len(piece)
+            if size > min(most, room):
+                raise _too_large(path, most, room)
+            file.write(piece)
 
 
 def _too_large(path: Path, most: int, room: int) -> InputError:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
 from jaxdet.io.compressed import ROTATED, with_confidence
-from jaxdet.io.container import FileState, MessageFile, MessageRow
+from jaxdet.io.container import FileState, MessageFile, MessageRow, Source, unreadable
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
@@ -67,18 +67,22 @@ class ImageFolder(MessageFile):
     """
 
     magic = b""
-    kind = "a folder of images"
 
-    def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
-        self.path, self.named, self.max_bytes = path, path, max_bytes
+    def __init__(
+        self,
+        path: Path,
+        max_bytes: int,
+        state: FileState | None = None,
+        source: Source | None = None,
+    ) -> None:
+        self.path, self.max_bytes, self.source = path, max_bytes, source or Source(path)
         try:
             self.state = state or _state(path)
             self.check_unchanged()
             recording = read_recording(path)
             self._messages = _encode(path, recording)
         except OSError as error:
-            problem = f"can't be read ({error.strerror})"
-            raise InputError(problem, path=str(path), remedy="check the folder") from error
+            raise unreadable(error, path) from error
         if not recording.has_stamps:
             name = path.absolute().name
             self.note = f"{name} has no timestamps; {RATE_HZ} frames per second are assumed"

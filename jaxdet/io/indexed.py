@@ -204,10 +204,10 @@ def _find_topics(
     found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     path, nbytes = builder.contents.path, sum(file.size for file in files)
     silent = list[ChannelInfo]()
-    for number, (file, entries) in enumerate(zip(files, indexes, strict=True)):
+    for number, entries in enumerate(indexes):
         check_topics(len(entries.infos), path)
         if builder.images:
-            builder.contents.integrity.append(entries.integrity._replace(path=file.named))
+            builder.contents.integrity.append(entries.integrity)
         for key, count in sorted(entries.counts.items(), key=lambda item: item[1].first_ns):
             builder.count(entries.infos[key], *count)
         silent += [info for key, info in entries.infos.items() if key not in entries.counts]

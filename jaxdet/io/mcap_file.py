@@ -35,7 +35,6 @@ class McapFile(LogFile):
     """
 
     magic = MAGIC
-    kind = "an MCAP"
 
     def read_index(self) -> FileIndex:
         """Read the file's own index, see :meth:`LogFile.read_index`."""

@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.container import FileState, MessageFile, MessageRow, Walk
+from jaxdet.io.container import FileState, MessageFile, MessageRow, Source, Walk
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
@@ -64,12 +64,17 @@ class SqliteFile(MessageFile):
     """A rosbag2 recording in SQLite, opened read-only."""
 
     magic = b"SQLite format 3\0"
-    kind = "a rosbag2 SQLite"
     tables: frozenset[str] | set[str] = frozenset()
     """Tables of a recording that exist in the file, without views."""
 
-    def __init__(self, path: Path, max_bytes: int, state: FileState | None = None) -> None:
-        super().__init__(path, max_bytes, state)
+    def __init__(
+        self,
+        path: Path,
+        max_bytes: int,
+        state: FileState | None = None,
+        source: Source | None = None,
+    ) -> None:
+        super().__init__(path, max_bytes, state, source)
         self._of_thread = local()
         self._connections: list[sqlite3.Connection] = []
         try:
@@ -202,7 +207,7 @@ class SqliteFile(MessageFile):
         except AttributeError:
             pass
         self.check_unchanged()
-        address = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
+        address = f"{self.source.path.resolve().as_uri()}?mode=ro&immutable=1"
         try:
             found = sqlite3.connect(address, uri=True, check_same_thread=False)
             self._connections.append(found)
