@@ -26,7 +26,7 @@ CAMERA = {
     "intrinsic_matrix": [K[0], 0, 0, 0, K[1], 0, K[2], K[3], 1],
 }
 STAMPS = ("1305031102.175304", "1305031102.211214", "1305031102.275326")
-NO_STAMPS = "{} has no timestamps; 30 frames per second are assumed"
+NO_STAMPS = "{}: it has no timestamps; 30 frames per second are assumed"
 GIVEN = LogOptions(color_intrinsics=K, depth_unit_m=0.0002)
 
 
@@ -124,7 +124,7 @@ def test_open3d_folders_have_a_camera_and_frame_numbers(tmp_path, scan):
         assert_frames(log, [10**9 + number * 10**9 // 30 for number in (8, 9, 10)])
         assert log.calibration.depth[:6] == (*SIZE, *K)
         assert log.calibration.depth_unit == 0.0002
-        assert NO_STAMPS.format("room") in log.description.warnings
+        assert NO_STAMPS.format(folder) in log.description.warnings
 
 
 @pytest.mark.parametrize("given", ["room", "room/depth", "."])
@@ -374,7 +374,7 @@ def test_seven_scenes_folders_are_read(tmp_path):
     with pytest.raises(CalibrationError, match=r"--log\.color-intrinsics"):
         open_log(str(tmp_path))
     with open_log(str(tmp_path), LogOptions(color_intrinsics=K)) as log:
-        assert NO_STAMPS.format(tmp_path.name) in log.description.warnings
+        assert NO_STAMPS.format(tmp_path) in log.description.warnings
         assert log.num_frames == 3 and log.has_color
         np.testing.assert_array_equal(log[2].depth, images()[1][2])
         np.testing.assert_allclose(log.T_world_camera, depth_poses(), atol=1e-12)
@@ -489,7 +489,7 @@ def test_times_in_the_names_of_only_one_kind_of_image_cause_a_warning(tmp_path):
     for folder, color, depth in (("a", times, numbers), ("b", numbers, times), ("c", times, times)):
         write(tmp_path / folder, [f"rgb/{n}.jpg" for n in color], [f"depth/{n}.png" for n in depth])
         with open_log(str(tmp_path / folder), LogOptions(color_intrinsics=K)) as log:
-            warns = NO_STAMPS.format(folder) in log.description.warnings
+            warns = NO_STAMPS.format(tmp_path / folder) in log.description.warnings
             assert warns == (folder != "c")
 
 

@@ -248,6 +248,13 @@ class LogFile(BytesFile, ABC):
             DamageError: The index is missing, incomplete or wrong.
         """
 
+    def parts(self) -> list["LogFile"]:
+        """Return the files of which this one consists, if several were concatenated.
+
+        A file that is not among them is closed.
+        """
+        return [self]
+
     def rebuild_index(self) -> FileIndex:
         """Build an index of all readable messages by reading the complete file.
 

@@ -84,8 +84,7 @@ class ImageFolder(MessageFile):
         except OSError as error:
             raise unreadable(error, path) from error
         if not recording.has_stamps:
-            name = path.absolute().name
-            self.note = f"{name} has no timestamps; {RATE_HZ} frames per second are assumed"
+            self.note = f"it has no timestamps; {RATE_HZ} frames per second are assumed"
         self.size = sum(item.size for item in self._messages)
         self.infos = {
             number: ChannelInfo(topic, "cdr", name, "ros2msg", schema_text(name).encode())

@@ -16,7 +16,7 @@ from jaxdet.io.chunks import (
 )
 from jaxdet.io.container import LogFile
 from jaxdet.io.file_index import FileIndex
-from jaxdet.io.mcap_index import read_mcap_index
+from jaxdet.io.mcap_index import mcap_parts, read_mcap_index
 from jaxdet.io.mcap_scan import rebuild_mcap_index
 
 _BEGIN_BYTES = 192 << 10
@@ -39,6 +39,17 @@ class McapFile(LogFile):
     def read_index(self) -> FileIndex:
         """Read the file's own index, see :meth:`LogFile.read_index`."""
         return read_mcap_index(self)
+
+    def parts(self) -> list[LogFile]:
+        """Return the MCAP files of which this one consists, see :meth:`LogFile.parts`."""
+        sources = mcap_parts(self)
+        if sources == [self.source]:
+            return [self]
+        self.close()
+        files = [McapFile(self.path, self.max_bytes, self.state, one) for one in sources]
+        for file in files:
+            file.memory = self.memory
+        return [*files]
 
     def rebuild_index(self) -> FileIndex:
         """Rebuild the index by a scan, see :meth:`LogFile.rebuild_index`."""

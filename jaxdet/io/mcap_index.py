@@ -10,6 +10,7 @@ import struct
 from array import array
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from io import BytesIO
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ from jaxdet.io.chunks import (
     DamageError,
     read_chunk_head,
 )
-from jaxdet.io.container import LogFile
+from jaxdet.io.container import LogFile, Source
 from jaxdet.io.declarations import Declarations
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS
@@ -52,6 +53,8 @@ _ODD_BYTES = 64
 """Size below which records of unknown types count as odd, see ``MAX_ODD_RECORDS``."""
 _UNCHECKED_BYTES = 1 << 20
 """Size of message indexes after which their number is checked again."""
+_SEARCH_BYTES = 4 << 20
+"""Size of a read in the search for another MCAP file."""
 _AHEAD_BYTES = 384
 """Minimum size of a read: usually message indexes, and the head of the next chunk."""
 
@@ -118,13 +121,15 @@ class FileRecords:
         offset = position - self._start
         return self._ahead[offset : offset + size]
 
-    def walk(self, restarts: Sequence[int] | np.ndarray = ()) -> Iterator[FileRecord]:
-        """Yield the records up to the end of the data.
+    def walk(
+        self, restarts: Sequence[int] | np.ndarray = (), position: int = len(MAGIC)
+    ) -> Iterator[FileRecord]:
+        """Yield the records from a position up to the end of the data or of the summary.
 
         A part that can't be parsed is a ``TORN`` record; it ends at the next position in
         ``restarts`` (sorted), or at the end of the file.
         """
-        position, odd = len(MAGIC), 0
+        odd = 0
         while True:
             start, content = position, position + RECORD_HEAD.size
             try:
@@ -145,6 +150,63 @@ class FileRecords:
             yield FileRecord(TORN, start, position - start)
             if after == len(restarts):
                 return
+
+
+def mcap_parts(file: LogFile) -> list[Source]:
+    """Return the MCAP files of which a file consists, usually only itself.
+
+    Recordings that were appended to complete or truncated ones are separate files.
+    """
+    source, spans, unused, start = file.source, [], 0, 0
+    while start < file.size:
+        after, is_complete = _end(file, start)
+        following = _next(file, after)
+        end = after if is_complete else following
+        spans.append((start, end - start))
+        unused += following - end
+        start = following
+    notes = [source.note] if source.note else []
+    if len(spans) > 1:
+        notes.append(f"it consists of {len(spans)} MCAP files, one after the other; all are read")
+    if unused:
+        notes.append(f"{unused} bytes after the end of the recording are not read")
+    elif len(spans) == 1:
+        return [source]
+    note = "; ".join(notes)
+    return [Source(source.path, note, source.start + begin, size) for begin, size in spans]
+
+
+def _end(file: LogFile, start: int) -> tuple[int, bool]:
+    """Return the end of the MCAP file that begins at ``start``, and whether it is complete.
+
+    The end of a torn file is unknown: the position of its last record is returned.
+    """
+    place = position = start + len(MAGIC)
+    for _ in ("data", "summary"):
+        opcode = TORN
+        for opcode, content, length in FileRecords(file).walk(position=position):
+            if opcode == TORN:
+                return place, False
+            place, position = content - RECORD_HEAD.size, content + length
+        if opcode == Opcode.FOOTER:
+            break
+    end = position + len(MAGIC)
+    if end > file.size or file.read(position, len(MAGIC)) != MAGIC:
+        return place, False
+    return end, True
+
+
+def _next(file: LogFile, position: int) -> int:
+    """Return where the next MCAP file begins, from a position on; by default the end of file."""
+    begin = MAGIC + bytes([Opcode.HEADER])
+    with suppress(DamageError):
+        while position < file.size:
+            size = min(_SEARCH_BYTES, file.size - position)
+            place = file.read(position, size).find(begin)
+            if place >= 0:
+                return position + place
+            position += max(size - len(begin) + 1, 1)
+    return file.size
 
 
 def read_summary(file: LogFile, at: int | None = None) -> Summary:

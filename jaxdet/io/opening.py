@@ -70,6 +70,9 @@ def open_log(
                     with suppress(RescanError):
                         found = _find_contents(indexes, store, source, options, complete=complete)
                         return _opened(source, found, options, left_out)
+        store.stop()
+        files = [part for file in files for part in file.parts()]
+        store = ChunkStore(files, most_bytes=memory.chunk)
         indexes = [file.rebuild_index() for file in files]
         found = _find_contents(indexes, store, source, options, complete=True)
         return _opened(source, found, options, left_out)
@@ -89,6 +92,8 @@ def _opened(
     """
     contents, store = known.contents, known.store
     contents.warnings += left_out
+    notes = [f"{printable(str(file.path))}: {file.note}" for file in store.files if file.note]
+    contents.warnings += dict.fromkeys(notes)
     _note(contents, files)
     try:
         found = find(known, options)
@@ -116,7 +121,7 @@ def _opened(
 def open_files(
     log: LogFiles, options: LogOptions, memory: ReadMemory
 ) -> tuple[list[LogFile], list[str]]:
-    """Return the open files of a log, and warnings about them and about unreadable splits.
+    """Return the open files of a log, and warnings about unreadable splits.
 
     Args:
         log: Names of the files.
@@ -135,8 +140,7 @@ def open_files(
             failures.append(error)
     if not files:
         raise failures[0]
-    warnings = [f"{error}; the file is left out" for error in failures]
-    return files, warnings + [file.note for file in files if file.note]
+    return files, [f"{error}; the file is left out" for error in failures]
 
 
 def _find_contents(
