@@ -115,6 +115,18 @@ def test_errors_name_the_compressed_file(tmp_path, form):
     assert str(packed) in str(error.value) and "jaxdet-unpacked" not in str(error.value)
 
 
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("ending", ["", ".zst"])
+def test_bytes_after_the_end_are_reported(tmp_path, form, ending):
+    path = write(tmp_path, form)
+    path.write_bytes(path.read_bytes() + bytes(4096))
+    path = packed_file(path, ending) if ending else path
+    with open_log(str(path)) as log:
+        np.testing.assert_array_equal(depths(log), SCENE.depth)
+        text = f"{path}: 4096 bytes after the end of the recording are not read"
+        assert log.description.warnings == (text,)
+
+
 def test_a_compressed_database_without_tables_is_named(tmp_path):
     with closing(sqlite3.connect(tmp_path / "x.db3")) as file, file:
         file.execute("CREATE TABLE other(id)")

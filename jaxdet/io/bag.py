@@ -357,6 +357,7 @@ def _read_end(file: BagFile) -> _End:
     file.check_size(file.size - start, "index")
     data = file.read(start, file.size - start)
     found, used = _End({}, {}), 0
+    left = {CONNECTION: head.number(b"conn_count"), CHUNK_INFO: head.number(b"chunk_count")}
     for record in records(data):
         content = data[record.data : record.end]
         if record.op == CONNECTION:
@@ -373,6 +374,10 @@ def _read_end(file: BagFile) -> _End:
             if not head.end <= position < start or len(content) % _COUNT.itemsize:
                 raise DamageError("index points beyond the end of the file")
             found.counts[position] = dict(np.frombuffer(content, _COUNT).tolist())
+        left[record.op] = left.get(record.op, 0) - 1
+        if left[CONNECTION] <= 0 and left[CHUNK_INFO] <= 0:
+            file.note_unread(len(data) - record.end)
+            break
     if len(found.counts) != head.number(b"chunk_count"):
         raise DamageError("index lacks chunks")
     return found

@@ -212,6 +212,12 @@ class LogFile(BytesFile, ABC):
         arguments = self.path, self.max_bytes, self.state, self.source
         return type(self), arguments, {"memory": self.memory}
 
+    def note_unread(self, nbytes: int) -> None:
+        """Add a warning about bytes after the end of the recording, if there are any."""
+        if nbytes > 0:
+            text = f"{nbytes} bytes after the end of the recording are not read"
+            self.note = "; ".join(filter(None, (self.source.note, text)))
+
     def check_size(self, size: int, what: str = "chunk") -> None:
         """Check that a chunk, or other data read at once, has at most ``max_bytes``.
 

@@ -35,6 +35,8 @@ _HIDDEN = 6
 _READ = {"sqlite_master", "messages", "topics", "message_definitions"}
 _FUNCTIONS = {"length", "typeof", "count", "max"}
 _MAX_BYTES = (1 << 31) - 1
+_CHANGE, _SIZE_VALID_FOR = 24, 92
+"""Positions of two numbers [byte]; if they are equal, the declared size of the file is valid."""
 _STEPS = 1_000_000
 """Number of instructions of SQLite's virtual machine (some milliseconds) between two checks of the
 time limit."""
@@ -79,6 +81,8 @@ class SqliteFile(MessageFile):
         self._connections: list[sqlite3.Connection] = []
         try:
             self._check()
+            if self.read(_CHANGE, 4) == self.read(_SIZE_VALID_FOR, 4):
+                self.note_unread(self.size - self.declared_bytes)
         except BaseException:
             self.close()
             raise
