@@ -473,12 +473,43 @@ def test_float_depth_in_millimetres_is_an_error_that_names_the_flag(tmp_path, al
         assert np.abs(depths(log) - expected).max() <= slack
     with opened(tmp_path, changed(aligned, make(0.001))) as log:
         assert np.abs(depths(log) - expected).max() <= slack and not log.description.warnings
-    if make is in_floats:
-        with opened(tmp_path, changed(aligned, make(1.0))) as log:
-            [text] = log.description.warnings
-            assert "looks like millimetres; pass --log.depth-unit-m 0.001" in text
-        with opened(tmp_path, changed(aligned, make(0.001)), depth_unit_m=0.001) as log:
-            assert "looks like metres; omit --log.depth-unit-m" in log.description.warnings[0]
+    with opened(tmp_path, changed(aligned, make(1.0))) as log:
+        [text] = log.description.warnings
+        assert "looks like millimetres; pass --log.depth-unit-m 0.001" in text
+    with opened(tmp_path, changed(aligned, make(0.001)), depth_unit_m=0.001) as log:
+        assert "looks like metres; omit --log.depth-unit-m" in log.description.warnings[0]
+
+
+@pytest.mark.parametrize("make", [in_floats, compressed_floats])
+def test_float_depth_in_centimetres_names_its_flag(tmp_path, aligned, make):
+    with opened(tmp_path, aligned) as whole:
+        expected = depths(whole).astype(int)
+    with opened(tmp_path, changed(aligned, make(0.1))) as log:
+        [text] = log.description.warnings
+    assert "looks like centimetres; pass --log.depth-unit-m 0.01" in text
+    with opened(tmp_path, changed(aligned, make(0.1)), depth_unit_m=0.01) as log:
+        assert np.abs(depths(log) - expected).max() <= 40 and not log.description.warnings
+
+
+@pytest.mark.parametrize("form", ["16UC1", "16UC1; compressedDepth png"])
+def test_tenths_of_a_millimetre_are_noticed(tmp_path, aligned, form):
+    def change(message: Message) -> list[Message] | None:
+        if message.topic != ALIGNED:
+            return None
+        pixels = np.minimum(10 * message.pixels.astype(int), 65535).astype(np.uint16)
+        if form == "16UC1":
+            message.show(pixels, form)
+            return None
+        data = bytes(12) + cv2.imencode(".png", pixels)[1].tobytes()
+        body = {"header": message.body["header"], "format": form, "data": data}
+        topic = f"{ALIGNED}/compressedDepth"
+        return [Message(topic, "sensor_msgs/CompressedImage", body, message.log_ns)]
+
+    with opened(tmp_path, changed(aligned, change)) as log:
+        [text] = log.description.warnings
+    assert "tenths of a millimetre; if distances are ten times too large, pass" in text
+    with opened(tmp_path, changed(aligned, change), depth_unit_m=0.0001) as log:
+        assert log.calibration.depth_unit == 0.0001 and not log.description.warnings
 
 
 def test_millimetres_are_noticed_in_sparse_depth(tmp_path, aligned):

@@ -27,6 +27,11 @@ _ASSUMED = "the default"
 """Source reported for the default depth unit."""
 _NEAR_M, _FAR_M = 0.05, 65.535
 """Range of plausible median depths of an image [m]."""
+_TYPICAL_M = 0.4, 6.0
+"""Range of usual median depths of an image, by which centimetres and millimetres are distinguished
+[m]."""
+_FAR_16_BIT_M = 10.0
+"""Median depth from which on a unit of 1 mm is doubted, as 16 bits reach up to 65 m [m]."""
 _AS_FOLDERS = "as in TUM's and Open3D's folders"
 _ONE_LENS = 0.01
 """Maximum difference between camera matrices of the same lens, as a fraction of the image size."""
@@ -114,8 +119,7 @@ def calibrate(
         camera = None
     source = _of_depth(contents, depth, camera, options) if aligned else depth
     found = find_intrinsics(source)
-    warnings = [*found.warnings, *_unit_doubts(unit_source, contents.path)]
-    warnings += _float_doubts(stream, recorded)
+    warnings = [*found.warnings, *_unit_doubts(stream, unit_source, recorded, contents.path)]
     if aligned:
         color = _aligned_color(depth, camera, source, found.intrinsics)
         if source is camera:
@@ -332,28 +336,45 @@ def _depth_unit(contents: LogContents, options: LogOptions, depth_topic: str) ->
     return unit, f"topic {printable(topic)}"
 
 
-def _unit_doubts(source: str, path: str) -> list[str]:
-    """Return a warning if the depth unit of a folder like TUM's benchmark is unknown."""
-    if source != _ASSUMED or not Path(path, LISTED_DEPTH).is_file():
-        return []
-    return [
-        f"the depth unit is unknown, {DEPTH_UNIT_M:g} m is assumed; for TUM's benchmark pass "
-        "--log.depth-unit-m 0.0002"
-    ]
+def _unit_doubts(stream: ImageStream, source: str, recorded: float, path: str) -> list[str]:
+    """Return a warning if the typical depth is implausible in its unit, or the unit is unknown.
 
-
-def _float_doubts(stream: ImageStream, recorded: float) -> list[str]:
-    """Return a warning if the values of 32FC1 depth are implausible in their unit."""
-    values = [value for value in stream.typical if np.isfinite(value)]
-    if not values:
+    Args:
+        stream: Depth images.
+        source: Source of the depth unit.
+        recorded: Metres per unit of 32FC1 depth.
+        path: Path of the log.
+    """
+    if source == _ASSUMED and Path(path, LISTED_DEPTH).is_file():
+        return [
+            f"the depth unit is unknown, {DEPTH_UNIT_M:g} m is assumed; for TUM's benchmark pass "
+            "--log.depth-unit-m 0.0002"
+        ]
+    if not stream.typical or not (stream.has_floats or source == _ASSUMED):
         return []
-    middle = float(np.median(values))
-    text = f"{printable(stream.topic)}: 32FC1 depth of about {middle:.3g}"
-    if middle * recorded > _FAR_M and _NEAR_M < middle * 0.001 < _FAR_M:
-        return [f"{text} looks like millimetres; pass --log.depth-unit-m 0.001"]
+    middle = float(np.median(stream.typical))
+    text = f"{printable(stream.topic)}: {'32FC1' if stream.has_floats else '16-bit'} depth of "
+    text += f"about {middle:.3g} looks like"
+    if not stream.has_floats:
+        is_far = middle * DEPTH_UNIT_M > _FAR_16_BIT_M
+        return (
+            [
+                f"{text} tenths of a millimetre; if distances are ten times too large, pass "
+                "--log.depth-unit-m 0.0001"
+            ]
+            if is_far
+            else []
+        )
     if recorded < 1 and middle * recorded < _NEAR_M < middle < _FAR_M:
-        return [f"{text} looks like metres; omit --log.depth-unit-m"]
-    return []
+        return [f"{text} metres; omit --log.depth-unit-m"]
+    if middle * recorded <= _FAR_M:
+        return []
+    names = {"centimetres": 0.01, "millimetres": 0.001}
+    near, far = _TYPICAL_M
+    likely = {name: unit for name, unit in names.items() if near < middle * unit < far}
+    likely = likely or {"millimetres": 0.001}
+    flags = " or ".join(f"{unit:g}" for unit in likely.values())
+    return [f"{text} {' or '.join(likely)}; pass --log.depth-unit-m {flags}"]
 
 
 def _aligned(

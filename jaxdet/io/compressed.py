@@ -20,6 +20,7 @@ from jaxdet.io.images import (
     check_size,
     decode_color,
     decode_depth,
+    depth_pixels,
     is_color_encoding,
     is_depth_encoding,
     metres_to_units,
@@ -41,6 +42,8 @@ _RVL_ERRORS = (
     "RVL value is not 16 bits",
 )
 """Error messages by status of the kernel."""
+_MAX_TYPICAL_PIXELS = 1 << 23
+"""Maximum number of pixels of an image whose typical depth is determined."""
 MIN_CONFIDENCE = 1
 _CONFIDENCE = "; confidence at "
 ROTATED = "; rotated left by 3 bits"
@@ -170,11 +173,49 @@ def decode_compressed_depth(
         decode_depth(_unpacked("depth", image, row, max_pixels), row, unit_m, max_pixels)
         return
     _check("depth", image, row, max_pixels)
+    scale = _decode_codes(image, row)
+    if scale is not None:
+        np.take(_inverse_depths(*scale, unit_m), row, out=row)
+
+
+def typical_depth(image: ImageMessage | CompressedImageMessage) -> float:
+    """Return the median of the measured depths of an image, in the unit of the image.
+
+    The result is NaN if no depth is measured.
+
+    Raises:
+        FrameError: The image can't be decoded, or has more than ``_MAX_TYPICAL_PIXELS``.
+    """
+    scale = None
+    if isinstance(image, CompressedImageMessage) and is_zstd(image.format):
+        width, height = compressed_size(image)
+        check_size(width, height, _MAX_TYPICAL_PIXELS)
+        image = unpack(image, width, height)
+    if isinstance(image, CompressedImageMessage):
+        width, height = compressed_size(image)
+        check_size(width, height, _MAX_TYPICAL_PIXELS)
+        pixels = np.empty((height, width), np.uint16)
+        scale = _decode_codes(image, pixels)
+    else:
+        pixels = depth_pixels(image, _MAX_TYPICAL_PIXELS)
+    some = pixels[::4, ::4].astype(np.float32)
+    if scale is not None:
+        some = _depths_of(some, *scale)
+    good = some[np.isfinite(some) & (some > 0)]
+    return float(np.median(good)) if len(good) else float("nan")
+
+
+def _decode_codes(image: CompressedImageMessage, row: np.ndarray) -> tuple[float, float] | None:
+    """Decode a PNG or RVL stream of 16 bits; return A and B if they are inverse depths.
+
+    Raises:
+        FrameError: The data are damaged.
+    """
     data = memoryview(image.data)
     _, masked, place = image.format.partition(_CONFIDENCE)
     if masked:
         _decode_masked(data, place, row)
-        return
+        return None
     headed = not _begins(data, MAGIC)
     if headed and len(data) < _DEPTH_HEAD.size:
         raise bad_frame("compressedDepth ends early")
@@ -187,10 +228,10 @@ def decode_compressed_depth(
     except ValueError as error:
         raise bad_frame(str(error) if rvl else f"PNG can't be decoded ({error})") from error
     if headed and image.format.partition(";")[0].strip().lower() == "32fc1":
-        _, a, b = _DEPTH_HEAD.unpack_from(data)
-        np.take(_inverse_depths(a, b, unit_m), row, out=row)
+        return _DEPTH_HEAD.unpack_from(data)[1:]
     if image.format.endswith(ROTATED):
         np.bitwise_or(row >> 3, row << 13, out=row)
+    return None
 
 
 def decode_rvl(data: bytes | memoryview, row: np.ndarray) -> None:
@@ -237,11 +278,16 @@ def _inverse_depths(a: float, b: float, unit_m: float) -> np.ndarray:
 
     The depth is ``A / (q - B)`` [m], computed in float32, and 0 for code 0.
     """
-    codes, units = np.arange(1 << 16), np.empty((1, 1 << 16), np.uint16)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        metres = np.float32(a) / (codes.astype(np.float32) - np.float32(b))
-    metres_to_units(np.where(codes == 0, np.float32(0), metres)[None], unit_m, units)
+    codes, units = np.arange(1 << 16, dtype=np.float32), np.empty((1, 1 << 16), np.uint16)
+    metres_to_units(_depths_of(codes, a, b)[None], unit_m, units)
     return units[0]
+
+
+def _depths_of(codes: np.ndarray, a: float, b: float) -> np.ndarray:
+    """Return ``A / (q - B)`` for float32 codes ``q``, 0 for code 0."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        depth = np.float32(a) / (codes - np.float32(b))
+    return np.where(codes == 0, np.float32(0), depth)
 
 
 def _unpacked(

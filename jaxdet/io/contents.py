@@ -9,10 +9,11 @@ from copy import copy
 import numpy as np
 
 from jaxdet.errors import FrameError
+from jaxdet.io.compressed import is_depth_file, typical_depth
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.file_index import FileIntegrity
-from jaxdet.io.images import check_pixels, typical_float
+from jaxdet.io.images import check_pixels, is_depth_encoding
 from jaxdet.io.limits import check_topics
 from jaxdet.io.messages import (
     IMAGE_KINDS,
@@ -26,7 +27,14 @@ from jaxdet.io.messages import (
 )
 from jaxdet.io.motion import MotionSamples
 from jaxdet.io.namespaces import namespace_of, namespaces_of_camera
-from jaxdet.io.streams import NUM_PROBES, PROBE_BYTES, FirstImage, ImageSize, ImageStream
+from jaxdet.io.streams import (
+    NUM_PROBES,
+    NUM_TYPICAL,
+    PROBE_BYTES,
+    FirstImage,
+    ImageSize,
+    ImageStream,
+)
 from jaxdet.io.transforms import TransformTree
 from jaxdet.io.validity import CalibrationChange, values_of
 
@@ -238,22 +246,18 @@ class ContentsBuilder:
             if len(stream.probes) < NUM_PROBES:
                 for image in (message.color, message.depth):
                     check_pixels(image)
-                self._see_floats(stream, message.depth)
+                _see_depth(stream, message.depth)
                 color, depth = (one._replace(data=b"") for one in (message.color, message.depth))
                 stream.probes.append(message._replace(color=color, depth=depth))
             return message.depth.stamp_ns
         assert isinstance(message, ImageMessage | CompressedImageMessage)
+        _see_depth(stream, message)
         if isinstance(message, ImageMessage):
             check_pixels(message)
-            self._see_floats(stream, message)
             stream.probes.append(message._replace(data=b""))
         else:
             stream.probes.append(message._replace(data=bytes(message.data[:PROBE_BYTES])))
         return message.stamp_ns
-
-    def _see_floats(self, stream: ImageStream, image: ImageMessage) -> None:
-        if image.encoding.strip().lower() == "32fc1":
-            stream.typical.append(typical_float(image))
 
     def _calibrations(self, topic: str) -> CalibrationTopic:
         return self.contents.calibrations.setdefault(topic, CalibrationTopic())
@@ -312,3 +316,18 @@ def image_stamps(decoder: MessageDecoder, payload: memoryview) -> tuple[int, int
             assert isinstance(message, RgbdMessage)
             return message.depth.stamp_ns, message.color.stamp_ns
     return stamp, stamp
+
+
+def _see_depth(stream: ImageStream, image: ImageMessage | CompressedImageMessage) -> None:
+    """Add the median of the image to those of the stream if it is one of the first with depth."""
+    if len(stream.typical) == NUM_TYPICAL:
+        return
+    if (
+        is_depth_encoding(image.encoding)
+        if isinstance(image, ImageMessage)
+        else is_depth_file(image, stream.topic)
+    ):
+        with suppress(FrameError):  # damage is reported when the frames are read
+            value = typical_depth(image)
+            if np.isfinite(value):
+                stream.typical.append(value)

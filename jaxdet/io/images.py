@@ -170,13 +170,9 @@ def decode_depth(image: ImageMessage, row: np.ndarray, unit_m: float, max_pixels
     Raises:
         FrameError: The encoding or size is wrong, or the data don't fit the size.
     """
-    name = canonical_encoding(image.encoding)
-    if name not in _DEPTH_TYPES:
-        raise bad_frame(f"depth encoding {image.encoding!a} is not supported")
-    dtype = np.dtype((">" if image.big_endian else "<") + _DEPTH_TYPES[name])
-    pixels = _pixels(image, dtype, 1, max_pixels)[..., 0]
+    pixels = depth_pixels(image, max_pixels)
     check_row("depth", image.width, image.height, row)
-    if name == "32fc1":
+    if pixels.dtype.kind == "f":
         metres_to_units(pixels, unit_m, row)
     else:
         row[...] = pixels
@@ -195,27 +191,18 @@ def metres_to_units(depth_m: np.ndarray, unit_m: float, row: np.ndarray) -> None
     launch("depth_units", np.ascontiguousarray(depth_m, np.float32), unit_m, row)
 
 
-def float_pixels(image: ImageMessage) -> np.ndarray:
-    """Return a view ``(H, W)`` float32 of a 32FC1 image, in the byte order of the image.
+def depth_pixels(image: ImageMessage, max_pixels: int) -> np.ndarray:
+    """Return a view ``(H, W)`` of a 16UC1, mono16 or 32FC1 image, in its byte order.
 
     Raises:
-        FrameError: The image has no pixels, or the data don't fit the size.
+        FrameError: The encoding is wrong, the image has no pixels or more than ``max_pixels``, or
+            the data don't fit the size.
     """
-    kind = np.dtype((">" if image.big_endian else "<") + "f4")
-    return _pixels(image, kind, 1, image.width * image.height)[..., 0]
-
-
-def typical_float(image: ImageMessage) -> float:
-    """Return the median of the positive values of a 32FC1 image, in the unit of the image.
-
-    The result is NaN if no value is positive.
-
-    Raises:
-        FrameError: The data don't fit the size.
-    """
-    pixels = float_pixels(image)[::4, ::4]
-    good = pixels[np.isfinite(pixels) & (pixels > 0)]
-    return float(np.median(good)) if len(good) else float("nan")
+    name = canonical_encoding(image.encoding)
+    if name not in _DEPTH_TYPES:
+        raise bad_frame(f"depth encoding {image.encoding!a} is not supported")
+    dtype = np.dtype((">" if image.big_endian else "<") + _DEPTH_TYPES[name])
+    return _pixels(image, dtype, 1, max_pixels)[..., 0]
 
 
 def _pixels(image: ImageMessage, dtype: np.dtype, channels: int, max_pixels: int) -> np.ndarray:

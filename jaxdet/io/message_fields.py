@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxdet.elementary import matmul
-from jaxdet.io.images import float_pixels
+from jaxdet.io.images import depth_pixels
 from jaxdet.io.limits import MAX_TRANSLATION_M
 from jaxdet.io.messages import (
     CameraInfoMessage,
@@ -108,7 +108,7 @@ def _disparity(message: Any, name: str) -> ImageMessage:
     if not 0 < focal * abs(baseline) < math.inf:
         text = f"focal length {focal:g} and baseline {baseline:g} m"
         raise ValueError(f"the disparity image has {text}; depth can't be computed")
-    found = float_pixels(image).astype(np.float32)
+    found = depth_pixels(image, image.width * image.height).astype(np.float32)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         depth = np.float32(focal * abs(baseline)) / found
     depth = np.where(np.isfinite(found) & (found > 0) & ~(found < least), depth, np.float32(0))

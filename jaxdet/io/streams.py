@@ -11,6 +11,7 @@ from jaxdet.io.zstd_images import is_zstd, read_zstd_head
 
 NUM_PROBES = 8
 """Number of first messages examined per topic with images or calibrations."""
+NUM_TYPICAL = 2
 PROBE_BYTES = 1 << 16
 """Size of the part of a compressed image that is kept for its header [byte]."""
 
@@ -42,7 +43,7 @@ class ImageStream:
         self.probes: list[ImageMessage | CompressedImageMessage | RgbdMessage] = []
         """First ``NUM_PROBES`` decodable messages, without pixels."""
         self.typical: list[float] = []
-        """Median value of each 32FC1 image among the probes."""
+        """Median values of the first ``NUM_TYPICAL`` depth images, in the unit of the image."""
 
     def images(self, depth: bool) -> list[ImageMessage | CompressedImageMessage]:
         """Return the first depth or colour images, without pixels."""
