@@ -299,6 +299,7 @@ def other_channels(path):
         (lambda one, two, other: two + one, 12, "consists of 2 MCAP files, one after the other"),
         (lambda one, two, other: one + other, 12, "consists of 2 MCAP files, one after the other"),
         (lambda one, two, other: one + two + other, 12, "consists of 3 MCAP files"),
+        (lambda one, two, other: (one + two) * 200, 12, "bytes after the end of the recording"),
         (lambda one, two, other: one + one, 6, "images occur twice"),
         (lambda one, two, other: one + bytes(512) + two, 12, "512 bytes after the end of"),
         (lambda one, two, other: one[:-400] + two, 12, "no end of file"),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxdet.errors import JaxdetError
+from jaxdet.errors import InputError, JaxdetError
 from jaxdet.io import open_log
 from tests.io_helpers import convert_log, write_log
 
@@ -16,6 +16,8 @@ ENDLESS = "WITH RECURSIVE n(i) AS (VALUES(0) UNION ALL SELECT i + 1 FROM n)"
 TOPICS = (
     "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
 )
+MESSAGES = "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data BLOB)"
+IMAGE = "sensor_msgs/msg/Image"
 HOSTILE = {
     "endless messages": [
         TOPICS,
@@ -40,6 +42,30 @@ HOSTILE = {
         "INSERT INTO messages(id, topic_id, data) VALUES(1, 1, x'00')",
     ],
     "no tables": ["CREATE TABLE other(id)"],
+    "many topics": [
+        TOPICS,
+        MESSAGES,
+        f"INSERT INTO topics {ENDLESS} SELECT i, '/t' || i, '{IMAGE}', 'cdr' FROM n LIMIT 300000",
+    ],
+    "many image topics": [
+        TOPICS,
+        MESSAGES,
+        f"INSERT INTO topics {ENDLESS} SELECT i, '/t' || i, '{IMAGE}', 'cdr' FROM n LIMIT 9000",
+        f"INSERT INTO messages {ENDLESS} SELECT i, i % 9000, i, x'00' FROM n LIMIT 20000",
+    ],
+    "many images": [
+        TOPICS,
+        MESSAGES,
+        f"INSERT INTO topics VALUES(1, '/a', '{IMAGE}', 'cdr')",
+        f"INSERT INTO messages {ENDLESS} SELECT i, 1, i, x'' FROM n LIMIT 300000",
+    ],
+    "many tables": [
+        TOPICS,
+        MESSAGES,
+        "PRAGMA writable_schema = ON",
+        f"INSERT INTO sqlite_master {ENDLESS} SELECT 'table', 'x' || i, 'x' || i, 2, "
+        "'CREATE TABLE x' || i || '(a)' FROM n LIMIT 20000",
+    ],
 }
 
 
@@ -50,6 +76,16 @@ def test_crafted_tables_are_clear_errors(tmp_path: Path, name: str):
         for text in HOSTILE[name]:
             file.execute(text)
     ends_in_a_line(path)
+
+
+def test_a_recording_without_its_write_ahead_log_names_it(tmp_path: Path):
+    path = tmp_path / "x.db3"
+    with closing(sqlite3.connect(tmp_path / "y.db3")) as file:
+        for text in ("PRAGMA journal_mode = WAL", "PRAGMA wal_autocheckpoint = 0", TOPICS):
+            file.execute(text)
+        path.write_bytes((tmp_path / "y.db3").read_bytes())
+    with pytest.raises(InputError, match=r"if its recorder was stopped, copy x\.db3-wal with it"):
+        open_log(str(path))
 
 
 @pytest.mark.parametrize(

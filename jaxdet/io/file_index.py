@@ -127,6 +127,9 @@ class IndexedMessages(NamedTuple):
 
     def in_file_order(self) -> "IndexedMessages":
         """Return the messages sorted by their position in the files."""
+        step, inside = np.diff(self.position), np.diff(self.offset)
+        if (np.diff(self.file) == 0).all() and ((step > 0) | (step == 0) & (inside >= 0)).all():
+            return self
         return self.rows(np.lexsort((self.offset, self.position, self.file)))
 
     def between(self, begin: int | None, end: int | None) -> slice:
@@ -182,7 +185,8 @@ def file_index(
     if counts.keys() - infos.keys():
         raise DamageError("message index of an undeclared channel")
     useful = [number for number, info in infos.items() if kind_of(info.schema_name) is not None]
-    useful = messages[:, np.isin(messages[0], useful)]
+    is_useful = np.isin(messages[0], useful)
+    useful = messages if is_useful.all() else messages[:, is_useful]
     zero = np.zeros(useful.shape[1], np.int64)
     if integrity.by_index:
         count = sum(item.messages for item in counts.values())

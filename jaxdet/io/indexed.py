@@ -19,7 +19,7 @@ from jaxdet.io.contents import FIRST_MOTIONS, ContentsBuilder, LogContents
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.decode_messages import MessageDecoder
 from jaxdet.io.file_index import FileIndex, IndexedMessages
-from jaxdet.io.limits import check_count, check_topics
+from jaxdet.io.limits import MAX_USED_TOPICS, check_count, check_topics
 from jaxdet.io.messages import IMAGE_KINDS, Kind, kind_of
 from jaxdet.io.motion_windows import MotionWindows
 from jaxdet.io.records import TopicMessages, read_message, rows_in_file_order
@@ -204,6 +204,8 @@ def _find_topics(
     found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     path, nbytes = builder.contents.path, sum(file.size for file in files)
     silent = list[ChannelInfo]()
+    sums = Counter[str]()
+    """Number of images by topic, and of all small messages (empty)."""
     for number, entries in enumerate(indexes):
         check_topics(len(entries.infos), path)
         if builder.images:
@@ -219,24 +221,22 @@ def _find_topics(
                 continue
             # A topic may have messages of several types.
             kind = "image" if decoder.kind in IMAGE_KINDS else decoder.kind.value
+            group = info.topic if kind == "image" else ""
+            sums[group] += entries.counts[key].messages
+            what = "images" if kind == "image" else "small messages"
+            check_count(what, sums[group], nbytes, path, info.topic)
             decoders, messages = found.setdefault((info.topic, kind), ([], []))
+            check_topics(len(found), path, MAX_USED_TOPICS)
             mine = entries.messages.rows(entries.messages.channel == key)
             zero = np.zeros_like(mine.file)
             messages.append(mine._replace(file=zero + number, decoder=zero + len(decoders)))
             decoders.append(decoder)
     for info in silent:
         builder.count(info, 0, MAX_TIME_NS, 0)
-    topics = [
+    return [
         TopicMessages(tuple(known), IndexedMessages.joined(parts).in_file_order())
         for known, parts in found.values()
     ]
-    small = 0
-    for topic in topics:
-        small += topic.num_messages * (topic.kind not in IMAGE_KINDS)
-        if topic.kind in IMAGE_KINDS:
-            check_count("images", topic.num_messages, nbytes, path, topic.topic)
-        check_count("small messages", small, nbytes, path, topic.topic)
-    return topics
 
 
 def _probes(topic: TopicMessages, whole: bool) -> np.ndarray:

@@ -23,10 +23,15 @@ MAX_DECLARATIONS = 200_000
 """Maximum number of schema and channel records in a summary; ids have 16 bits."""
 MAX_TOPICS = 10_000
 """Maximum number of topics in a log; large robots have about 500."""
+MAX_USED_TOPICS = 2000
+"""Maximum number of topics with images, calibrations or poses in a log; large robots have about
+100."""
 MAX_FRAMES_TF = 10_000
 """Maximum number of TF frames in a log; robots with hands have about 200."""
 MAX_ODD_RECORDS = 1000
 """Maximum number of empty or unknown records in a chunk, in a summary or between chunks."""
+MAX_PARTS = 250
+"""Maximum number of concatenated MCAP files that are read."""
 MAX_SMALL_BYTES = 1 << 20
 """Maximum size of a calibration, transform or pose message [byte]; a thousand transforms have 150
 kB."""
@@ -87,14 +92,14 @@ def _too_large(
     return kind(problem, path=path, remedy=remedy)
 
 
-def check_topics(count: int, path: str) -> None:
-    """Check that a log has at most ``MAX_TOPICS`` topics.
+def check_topics(count: int, path: str, most: int = MAX_TOPICS) -> None:
+    """Check that a log has at most ``most`` topics.
 
     Raises:
         InputError: The log has more topics.
     """
-    if count > MAX_TOPICS:
-        problem = f"the log has at least {count} topics, more than the maximum of {MAX_TOPICS}"
+    if count > most:
+        problem = f"the log has at least {count} topics, more than the maximum of {most}"
         raise InputError(problem, path=path, remedy="no recorder writes so many; check the file")
 
 

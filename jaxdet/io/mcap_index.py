@@ -32,7 +32,7 @@ from jaxdet.io.chunks import (
 from jaxdet.io.container import LogFile, Source
 from jaxdet.io.declarations import Declarations
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
-from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS
+from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS, MAX_PARTS
 
 TORN = 0
 """Opcode for parts of the file that are not records."""
@@ -53,7 +53,7 @@ _ODD_BYTES = 64
 """Size below which records of unknown types count as odd, see ``MAX_ODD_RECORDS``."""
 _UNCHECKED_BYTES = 1 << 20
 """Size of message indexes after which their number is checked again."""
-_SEARCH_BYTES = 4 << 20
+_SEARCH_BYTES = 256 << 10
 """Size of a read in the search for another MCAP file."""
 _AHEAD_BYTES = 384
 """Minimum size of a read: usually message indexes, and the head of the next chunk."""
@@ -160,14 +160,15 @@ def mcap_parts(file: LogFile) -> list[Source]:
     source, spans, unused, start = file.source, [], 0, 0
     while start < file.size:
         after, is_complete = _end(file, start)
-        following = _next(file, after)
+        following = _next(file, after) if len(spans) < MAX_PARTS else file.size
         end = after if is_complete else following
         spans.append((start, end - start))
         unused += following - end
         start = following
     notes = [source.note] if source.note else []
     if len(spans) > 1:
-        notes.append(f"it consists of {len(spans)} MCAP files, one after the other; all are read")
+        count = f"{len(spans)} MCAP files, one after the other"
+        notes.append(f"it consists of {count}, which are read as one recording")
     if unused:
         notes.append(f"{unused} bytes after the end of the recording are not read")
     elif len(spans) == 1:
@@ -198,11 +199,12 @@ def _end(file: LogFile, start: int) -> tuple[int, bool]:
 
 def _next(file: LogFile, position: int) -> int:
     """Return where the next MCAP file begins, from a position on; by default the end of file."""
-    begin = MAGIC + bytes([Opcode.HEADER])
+    begin, memory = MAGIC + bytes([Opcode.HEADER]), bytearray(_SEARCH_BYTES)
     with suppress(DamageError):
         while position < file.size:
             size = min(_SEARCH_BYTES, file.size - position)
-            place = file.read(position, size).find(begin)
+            file.read_into(position, memoryview(memory)[:size])
+            place = memory.find(begin, 0, size)
             if place >= 0:
                 return position + place
             position += max(size - len(begin) + 1, 1)

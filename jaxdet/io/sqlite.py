@@ -24,7 +24,7 @@ from jaxdet.io.chunks import DamageError
 from jaxdet.io.container import FileState, MessageFile, MessageRow, Source, Walk
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
-from jaxdet.io.limits import MAX_SCHEMA_BYTES, check_topics
+from jaxdet.io.limits import MAX_SCHEMA_BYTES, MAX_TOPICS, check_topics
 from jaxdet.io.messages import kind_of
 
 _ROW = "SELECT topic_id, timestamp, length(data), typeof(data) FROM messages WHERE rowid = ?"
@@ -35,21 +35,23 @@ _HIDDEN = 6
 _READ = {"sqlite_master", "messages", "topics", "message_definitions"}
 _FUNCTIONS = {"length", "typeof", "count", "max"}
 _MAX_BYTES = (1 << 31) - 1
+_READ_VERSION, _WAL = 19, b"\2"
+"""Position of the version needed to read the file, and that of files with a write-ahead log."""
 _CHANGE, _SIZE_VALID_FOR = 24, 92
 """Positions of two numbers [byte]; if they are equal, the declared size of the file is valid."""
-_STEPS = 1_000_000
-"""Number of instructions of SQLite's virtual machine (some milliseconds) between two checks of the
-time limit."""
+_STEPS = 20_000
+"""Number of instructions of SQLite's virtual machine between two checks of the time limit; while
+SQLite parses the tables of a file, an instruction may take much longer than usual."""
 _PATIENCE_S, _BYTES_PER_S = 5.0, 50 << 20
 """Time limit for the next row of a query [s]: a constant, plus one second per this many bytes of
 the file."""
-_NEEDED = {"messages", "topics"}
+_NEEDED, _MAX_TABLES = {"messages", "topics"}, 1000
 _ROWS_AT_ONCE = 1 << 14
 _DAMAGED = "page is damaged"
 _MAX_LOST = 100_000
 """Maximum number of ids that are tried one by one if pages are damaged; this takes a few seconds.
 """
-_INDEX = "SELECT rowid, topic_id, timestamp FROM messages ORDER BY rowid"
+_INDEX = "SELECT topic_id, timestamp, rowid FROM messages ORDER BY rowid"
 _DATA = """SELECT rowid, topic_id, timestamp,
 CASE WHEN length(data) <= :most THEN data END, length(data)
 FROM messages WHERE rowid > :before ORDER BY rowid LIMIT :count"""
@@ -99,14 +101,17 @@ class SqliteFile(MessageFile):
         if self.declared_bytes > self.size:
             raise DamageError("file ends early")
         infos = _channels(self)
-        rows, parts = self.query(_INDEX), [np.zeros((3, 0), np.int64)]
+        rows, parts, count = self.query(_INDEX), [np.zeros((4, 0), np.int64)], 0
         try:
             while some := list(islice(rows, _ROWS_AT_ONCE)):
-                parts.append(np.array(some, np.int64).T)
+                parts.append(np.zeros((4, len(some)), np.int64))
+                parts[-1][:3] = np.array(some, np.int64).T
+                count += len(some)
+                self.check_messages(count)
         except (OverflowError, TypeError, ValueError) as error:
             raise _damage(error) from error
-        number, channel, log_ns = np.concatenate(parts, axis=1)
-        self.check_messages(len(number))
+        messages = np.concatenate(parts, axis=1)
+        channel, log_ns, number = messages[:3]
         for value in (channel.min(initial=0), channel.max(initial=0)):
             MessageRow(int(value), int(log_ns.min(initial=0)), 0).check()
         if (np.diff(number) <= 0).any():
@@ -115,7 +120,6 @@ class SqliteFile(MessageFile):
             raise DamageError("number of a message is out of range")
         if _declared(self) not in (None, len(number)):
             raise DamageError("index of times contradicts the messages")
-        messages = np.stack([channel, log_ns, number, np.zeros_like(number)])
         return file_index(infos, messages, FileIntegrity(self.path, by_index=True))
 
     def rebuild_index(self) -> FileIndex:
@@ -168,6 +172,7 @@ class SqliteFile(MessageFile):
         try:
             connection = self._connection()
             connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self.max_bytes, most))
+            self._of_thread.until = time.monotonic() + patience_s
             rows = connection.execute(text, values)
             while True:
                 self._of_thread.until = time.monotonic() + patience_s
@@ -245,7 +250,7 @@ class SqliteFile(MessageFile):
                     remedy="run sqlite3 FILE 'PRAGMA wal_checkpoint(TRUNCATE)' on a copy",
                 )
         try:
-            tables = {row[0] for row in self.query(_TABLES)}
+            tables = {row[0] for row in islice(self.query(_TABLES), _MAX_TABLES + 1)}
             self.tables = tables & _READ
             made = {
                 f"{table}.{row[1]}"
@@ -256,9 +261,15 @@ class SqliteFile(MessageFile):
         except DamageError as error:
             remedy = "recover it with sqlite3 FILE .recover, or exclude it"
             raise InputError(str(error), path=str(self.path), remedy=remedy) from error
+        if len(tables) > _MAX_TABLES:
+            problem = f"not a rosbag2 recording: it has more than {_MAX_TABLES} tables"
+            raise InputError(problem, path=str(self.path), remedy="exclude it")
         if not tables >= _NEEDED:
             problem = "not a rosbag2 recording: the tables messages and topics are missing"
-            raise InputError(problem, path=str(self.path), remedy="exclude it")
+            remedy = "exclude it"
+            if self.read(_READ_VERSION, 1) == _WAL:
+                remedy = f"if its recorder was stopped, copy {self.path.name}-wal with it"
+            raise InputError(problem, path=str(self.path), remedy=remedy)
         if made:
             problem = f"not a rosbag2 recording: generated columns ({', '.join(sorted(made))})"
             raise InputError(problem, path=str(self.path), remedy="exclude it")
@@ -337,7 +348,7 @@ def _channels(file: SqliteFile) -> dict[int, ChannelInfo]:
     Raises:
         DamageError: The table can't be read.
     """
-    topics = list(file.query(_TOPICS, most=MAX_SCHEMA_BYTES))
+    topics = list(islice(file.query(_TOPICS, most=MAX_SCHEMA_BYTES), MAX_TOPICS + 1))
     check_topics(len(topics), str(file.path))
     types, known, found = {name for _, _, name, _ in topics}, {}, {}
     rows = file.query(_DEFINITIONS, most=MAX_SCHEMA_BYTES)
