@@ -31,7 +31,7 @@ from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, ChunkHea
 from jaxdet.io.container import FileState, LogFile, Source, Walk
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import MAX_CHANNEL, FileIndex, FileIntegrity, file_index
-from jaxdet.io.limits import MAX_SCHEMA_BYTES, MAX_SCHEMAS_BYTES
+from jaxdet.io.limits import MAX_DECLARATIONS, MAX_SCHEMA_BYTES, MAX_SCHEMAS_BYTES
 from jaxdet.io.messages import kind_of
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
@@ -357,6 +357,8 @@ def _read_end(file: BagFile) -> _End:
     file.check_size(file.size - start, "index")
     data = file.read(start, file.size - start)
     found, used = _End({}, {}), 0
+    if head.number(b"conn_count") > MAX_DECLARATIONS:
+        raise DamageError("index lists too many connections")
     left = {CONNECTION: head.number(b"conn_count"), CHUNK_INFO: head.number(b"chunk_count")}
     for record in records(data):
         content = data[record.data : record.end]
@@ -375,7 +377,9 @@ def _read_end(file: BagFile) -> _End:
                 raise DamageError("index points beyond the end of the file")
             found.counts[position] = dict(np.frombuffer(content, _COUNT).tolist())
         left[record.op] = left.get(record.op, 0) - 1
-        if left[CONNECTION] <= 0 and left[CHUNK_INFO] <= 0:
+        if left[CONNECTION] < 0 or left[CHUNK_INFO] < 0:
+            raise DamageError("index lists more than its header")
+        if not left[CONNECTION] and not left[CHUNK_INFO]:
             file.note_unread(len(data) - record.end)
             break
     if len(found.counts) != head.number(b"chunk_count"):
