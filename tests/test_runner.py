@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 import jaxdet
+from jaxdet.engine import Progress
 from jaxdet.errors import ConfigError, InputError
 from jaxdet.sim import SimConfig, write_log
 
@@ -99,4 +100,16 @@ def test_wrong_arguments_are_named(logs, tmp_path, given: dict[str, Any], error)
     with pytest.raises(kind) as found:
         jaxdet.run(**{"logs": logs, "output": tmp_path / "out", **given})
     assert str(found.value) == error
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_exception_of_the_progress_callback_ends_the_run(logs, tmp_path, workers):
+    def stop(now: Progress) -> None:
+        raise error
+
+    error, options = RuntimeError("stop"), {"backend": "reference", "pictures": 0}
+    with pytest.raises(RuntimeError) as found:
+        jaxdet.run(logs, tmp_path / "out", workers=workers, progress=stop, **options)
+    assert found.value is error
     assert not list(tmp_path.iterdir())
