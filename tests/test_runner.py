@@ -20,19 +20,21 @@ OPTIONS = {"backend": "reference", "workers": 2, "pictures": 0, "map": False}
 class Here:
     pass
 
-def run(output):
-    return jaxdet.run("logs", output, **OPTIONS).frames
+def run(output, **changes):
+    return jaxdet.run("logs", output, **{**OPTIONS, **changes}).frames
 
 with multiprocessing.get_context("fork").Pool(1) as pool:
     print(pool.map(run, ["by_daemon"]))
 print(run("by_run"))
 runner = jaxdet.Runner(**OPTIONS)
 print(runner.run("logs", "by_runner").frames)
+print(jaxdet.run("logs/a.mcap", "by_jax", pictures=0).frames)
 with multiprocessing.get_context("fork").Pool(1) as pool:
-    try:
-        pool.map(run, ["by_fork"])
-    except jaxdet.JaxdetError as error:
-        print(error)
+    for changes in ({}, {"backend": "jax", "workers": 1}):
+        try:
+            pool.apply(run, ["by_fork"], changes)
+        except jaxdet.JaxdetError as error:
+            print(error)
 os.chdir("elsewhere")
 print(runner.run((f"../logs/{name}.mcap" for name in "ab"), "after_chdir").frames)
 try:
@@ -44,6 +46,10 @@ except jaxdet.JaxdetError as error:
 NO_FORK = (
     "workers can't be started in a process forked from one that started some; "
     "start processes with spawn"
+)
+NO_JAX = (
+    "JAX can't be used in a process forked from one that used it; "
+    "start processes with spawn, or use the backend reference"
 )
 IN_MAIN = (
     "observers can't be sent to other processes (defined in __main__, which they don't import); "
@@ -71,8 +77,9 @@ def test_programs_of_all_kinds_can_start_workers(logs, tmp_path):
         cwd=tmp_path,
         timeout=120,
     )
-    lines = ["[4]", "4", "4", NO_FORK, "4", IN_MAIN]
-    assert (found.stdout.splitlines(), found.stderr) == (lines, "")
+    lines = ["[4]", "4", "4", "2", NO_FORK, NO_JAX, "4", IN_MAIN]
+    assert found.stdout.splitlines() == lines, found.stderr
+    assert not (tmp_path / "by_fork").exists()
     assert (tmp_path / "elsewhere/after_chdir/b/manifest.json").exists()
 
 
