@@ -3,7 +3,7 @@
 import dataclasses
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
 from jaxdet.errors import ConfigError, InputError, JaxdetError
 
@@ -107,8 +107,10 @@ def check_fields(part: Any) -> None:
     for field in dataclasses.fields(part):
         value = getattr(part, field.name)
         if not fits(value, field.type):
+            literal = get_origin(field.type) is Literal
+            shown = repr(value) if literal else type(value).__name__
             raise ConfigError(
-                f"expected {_type_text(field.type)}, got {type(value).__name__}",
+                f"expected {_type_text(field.type)}, got {shown}",
                 topic=f"{section}.{field.name.replace('_', '-')}".lstrip("."),
             )
 
@@ -117,6 +119,8 @@ def fits(value: Any, kind: Any) -> bool:
     """Return whether a value has the type of a field's annotation."""
     if isinstance(kind, UnionType):
         return any(fits(value, one) for one in get_args(kind))
+    if get_origin(kind) is Literal:
+        return value in get_args(kind)
     if get_origin(kind) is tuple:
         each = get_args(kind)
         many = isinstance(value, tuple | list) and len(value) == len(each)
@@ -132,6 +136,8 @@ def _type_text(kind: Any) -> str:
     """Return a type in words."""
     if isinstance(kind, UnionType):
         return " or ".join(_type_text(one) for one in get_args(kind))
+    if get_origin(kind) is Literal:
+        return " or ".join(map(repr, get_args(kind)))
     if get_origin(kind) is tuple:
         return f"{len(get_args(kind))} numbers"
     return "None" if kind is NoneType else _WORDS.get(kind, f"a {kind.__name__}")

@@ -46,12 +46,21 @@ def load_backend(name: BackendName) -> Backend:
         remedy = f"use one of {', '.join(modules)}"
         raise ConfigError(f"unknown backend {named_type(name)}", remedy=remedy)
     if name == "jax":
-        if _process_of_jax() != os.getpid():
-            problem = "JAX can't be used in a process forked from one that used it"
-            remedy = "start processes with spawn, or use the backend reference"
-            raise ConfigError(problem, remedy=remedy)
+        check_not_forked()
         start_warp()  # keeps Warp's banner out of standard output
     return cast(Backend, import_module(modules[name]))
+
+
+def check_not_forked() -> None:
+    """Check that this process can use JAX.
+
+    Raises:
+        ConfigError: It was forked from one that used JAX.
+    """
+    if _process_of_jax() != os.getpid():
+        problem = "JAX can't be used in a process forked from one that used it"
+        remedy = "start processes with spawn, or use the backend reference"
+        raise ConfigError(problem, remedy=remedy)
 
 
 @cache

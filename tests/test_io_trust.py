@@ -264,7 +264,12 @@ def test_numbered_files_are_one_log_only_with_equal_calibrations_and_short_pause
 
 @pytest.mark.parametrize(
     ("start", "why"),
-    [(-SECOND, "overlap in time"), (SECOND // 40, ""), (100 * SECOND, " s apart")],
+    [
+        (-SECOND, "overlap in time"),
+        (0, "overlap in time"),
+        (SECOND // 40, ""),
+        (100 * SECOND, " s apart"),
+    ],
 )
 def test_splits_must_be_consecutive_in_time(tmp_path, start, why):
     drive(tmp_path / "x_1.mcap", START)

@@ -35,6 +35,7 @@ from jaxdet.engine.memory import BATCH, BATCHES_IN_FLIGHT, Memory, MemoryPlan
 from jaxdet.engine.pool import Pool
 from jaxdet.engine.settings import RunSettings
 from jaxdet.memory import size_text
+from jaxdet.pipeline import check_not_forked
 from jaxdet.results.manifest import fingerprint
 from jaxdet.results.writer import ROWS_PER_GROUP
 from jaxdet.types import Calibration
@@ -88,9 +89,14 @@ class Machine:
         memory: Memory and the number of processes that fit into it.
         batch: Largest number of frames computed together so far.
         workers: Largest number of processes that shared the logs so far.
+
+    Raises:
+        ConfigError: This process can't use JAX, or there is too little memory.
     """
 
     def __init__(self, settings: RunSettings, pool: Pool, *, apart: bool = False) -> None:
+        if settings.options.backend == "jax":
+            check_not_forked()
         options, devices = settings.options, pool.devices
         workers = options.workers or max(1, cores() - bool(devices))
         largest = settings.log_options.max_chunk_mib << 20

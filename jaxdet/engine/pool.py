@@ -1,6 +1,7 @@
 """Pool of worker processes: their number, their start, and the handling of lost workers."""
 
 import multiprocessing
+import os
 import pickle
 import signal
 import threading
@@ -8,11 +9,13 @@ import time
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import chain
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
+from multiprocessing.util import Finalize
 from typing import Any
+from weakref import WeakMethod
 
 from jaxdet.engine.gpu import GpuThreads
 from jaxdet.engine.plan import UnitQueue
@@ -40,7 +43,7 @@ _ENDING_S = 0.5
 """Time in which a killed fork server ends, before a new one is started [s]."""
 _SHORT_TMPDIR = "set TMPDIR to a folder with a short name and room, for instance /tmp"
 _AGAIN = "its fork server may have been killed; run the same command again"
-_ENDED_EARLY = "its own message is above; a script needs: if __name__ == '__main__'"
+_ENDED_EARLY = "its own message is above"
 
 
 def gpus() -> tuple[Any, ...]:
@@ -133,6 +136,8 @@ class Pool:
         self._early = 0
         """Number of workers with tasks that died during their start since the last answer."""
         self._ended, self._started = threading.Event(), threading.Event()
+        # Before multiprocessing sends workers SIGTERM, which they ignore, and waits for them.
+        Finalize(None, _close, (WeakMethod(self.close),), exitpriority=0)
 
     def __enter__(self) -> "Pool":
         return self
@@ -151,7 +156,14 @@ class Pool:
         return bool(self._workers)
 
     def start(self) -> None:
-        """Begin to start the processes, unless they have been started."""
+        """Begin to start the processes, unless they have been started.
+
+        Raises:
+            WorkerStartError: They can't be started.
+        """
+        if _process_with_workers() != os.getpid():
+            problem = "workers can't be started in a process forked from one that started some"
+            raise WorkerStartError(problem, remedy="start processes with spawn")
         if self._workers:
             return
         if self._early:
@@ -327,6 +339,18 @@ class Pool:
                 worker.pending.extendleft(reversed(short))
                 yield worker, Lost(FrameStatus.WORKER_CRASHED, "out of memory")
                 return
+
+
+@cache
+def _process_with_workers() -> int:
+    """Return the id of the process that first called this function; forked children inherit it."""
+    return os.getpid()
+
+
+def _close(close: WeakMethod) -> None:
+    """End the processes of a pool that was not closed, if it is still there."""
+    if there := close():
+        there()
 
 
 def _wake(workers: list[Worker], ended: threading.Event, awake: threading.Event) -> None:

@@ -1,6 +1,5 @@
 """Runs over many logs, or one, which write a folder of results for each log."""
 
-import atexit
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
@@ -10,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from jaxdet.arguments import named_type, of_type
 from jaxdet.config import Config
 from jaxdet.config_changes import changed
 from jaxdet.config_file import find_config
@@ -136,11 +136,12 @@ class Runner:
         if chosen.backend != self._options.backend:
             problem = f"this Runner computes with {self._options.backend}, not {chosen.backend}"
             raise ConfigError(problem, remedy=f'make another: Runner(backend="{chosen.backend}")')
-        found, folder = _find(logs), Path(output)
+        found, folder = _find(logs), _folder(output)
+        log = of_type("log", LogOptions() if log is None else log, LogOptions, ConfigError)
         _check_outside(folder, found)
         if preset is None and isinstance(config, str) and config in PRESETS:
             preset = config
-        given = find_config(config), log or LogOptions(), chosen, preset, observers
+        given = find_config(config), log, chosen, preset, observers
         return run_logs(make_settings(*given), found, folder, self._pool, progress)
 
     def run_alone(self, settings: RunSettings, files: LogFiles, folder: Path) -> Summary:
@@ -164,12 +165,34 @@ class Runner:
 
 
 def _find(logs: Logs) -> list[LogFiles]:
-    """Return the logs in order."""
+    """Return the logs in order.
+
+    Raises:
+        InputError: There are none.
+    """
+    given: Any = logs
     if isinstance(logs, Iterable) and not isinstance(logs, str):
         given = list(logs)
-        if given and all(isinstance(log, LogFiles) for log in given):
-            return sorted(given, key=lambda log: log.name)  # pyright: ignore
-    return sorted(find_logs(logs), key=lambda log: log.name)  # pyright: ignore[reportArgumentType]
+        if not given:
+            raise InputError("no logs are named", topic="logs", remedy="pass at least one")
+    if not (isinstance(given, list) and all(isinstance(log, LogFiles) for log in given)):
+        given = find_logs(given)
+    return sorted(given, key=lambda log: log.name)
+
+
+def _folder(output: Any) -> Path:
+    """Return the path of the results.
+
+    Raises:
+        ConfigError: It is not the path of a folder.
+    """
+    if not isinstance(output, str | PathLike) or not str(output):
+        problem, remedy = f"expected a path, got {named_type(output)}", "pass that of a folder"
+        raise ConfigError(problem, topic="output", remedy=remedy)
+    if "://" in str(output):
+        problem, remedy = "is not a folder", "write to addresses with the command jaxdet run"
+        raise ConfigError(problem, path=str(output), remedy=remedy)
+    return Path(output)
 
 
 def _check_outside(output: Path, logs: Sequence[LogFiles]) -> None:
@@ -260,6 +283,4 @@ def _settings(how: Mapping[str, Any]) -> RunSettings:
 @cache
 def _runner(backend: BackendName) -> Runner:
     """Return the runner of this process for a backend."""
-    runner = Runner(backend=backend)
-    atexit.register(runner.close)
-    return runner
+    return Runner(backend=backend)

@@ -25,6 +25,10 @@ from jaxdet.types import Calibration
 LOGGER = logging.getLogger("jaxdet")
 
 
+class _CallbackError(BaseException):
+    """Exception of the progress callback, its only argument; it ends the run, not a log."""
+
+
 def run_logs(
     settings: RunSettings,
     logs: Sequence[LogFiles],
@@ -50,6 +54,9 @@ def run_logs(
             number = getattr(stop, "signal", signal.SIGINT)
             text = f"interrupted; {_standing(done, logs, options)}"
             raise Interrupted(number, text) from None
+        except _CallbackError as failed:
+            pool.close()
+            raise failed.args[0] from None
         except BaseException as error:
             pool.close()
             if isinstance(error, InputError | OutputError) and done:
@@ -156,24 +163,27 @@ class Scheduler:
         """Report progress to the log and to the callback."""
         stands = doing or f"{about.frames} of {total} frames"
         LOGGER.debug("%s: %s", label, stands)
-        if self.progress:
-            failed = sum(any(one.error for one in done) for done in self.done.values())
-            self.progress(
-                Progress(
-                    log=label,
-                    log_number=self.numbers[about.log],
-                    num_logs=len(self.logs),
-                    done=about.frames,
-                    total=total,
-                    bad=about.num_bad,
-                    frames_per_s=about.frames_per_s,
-                    bottleneck=about.bottleneck,
-                    rates=about.rates,
-                    doing=doing,
-                    logs_done=len(self.done),
-                    logs_failed=failed,
-                )
-            )
+        if self.progress is None:
+            return
+        failed = sum(any(one.error for one in done) for done in self.done.values())
+        now = Progress(
+            log=label,
+            log_number=self.numbers[about.log],
+            num_logs=len(self.logs),
+            done=about.frames,
+            total=total,
+            bad=about.num_bad,
+            frames_per_s=about.frames_per_s,
+            bottleneck=about.bottleneck,
+            rates=about.rates,
+            doing=doing,
+            logs_done=len(self.done),
+            logs_failed=failed,
+        )
+        try:
+            self.progress(now)
+        except Exception as error:
+            raise _CallbackError(error) from error
 
     def _check_there(self, failed: LogFiles) -> None:
         """Check that the disk of a log that failed is still available.

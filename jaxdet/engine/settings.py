@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
+from jaxdet.arguments import check_fields
 from jaxdet.config import Config
 from jaxdet.engine.memory import Memory
 from jaxdet.errors import ConfigError
@@ -53,6 +54,7 @@ class RunOptions:
     """Process logs again that failed, lost frames or have changed since."""
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.batch_size is not None and self.batch_size < 1:
             raise ConfigError(f"batches of {self.batch_size}", remedy="give --batch-size 1 or more")
         if self.memory is not None:
@@ -155,7 +157,8 @@ def make_settings(
     """
     observers = dict(observers)
     try:
-        pickle.dumps(observers)
+        if b"__main__" in pickle.dumps(observers):
+            raise TypeError("defined in __main__, which they don't import")
     except Exception as error:
         problem = f"observers can't be sent to other processes ({error})"
         raise ConfigError(problem, remedy="define their classes in a module") from error

@@ -9,13 +9,15 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from multiprocessing.connection import wait
+from types import ModuleType
 from typing import Any, NamedTuple, Protocol
 
 from jaxdet.engine.device import Device, OwnDevice, out_of_memory
@@ -103,7 +105,8 @@ class Worker:
     def start(self) -> None:
         """Start the process, which takes a while."""
         try:
-            self.process.start()
+            with _from_any_program():
+                self.process.start()
         finally:
             self._theirs.close()
             if self._gpu_pipe:
@@ -120,8 +123,9 @@ class Worker:
         """
         assert not (job and self.pending)
         self.pending.append(task)
+        message = job and os.getcwd(), task
         with suppress(OSError):  # the worker has died, which receive() reports
-            self.pipe.send((bool(job), task))
+            self.pipe.send(message)
             if job:
                 self.pipe.send_bytes(job)
 
@@ -179,6 +183,32 @@ class Worker:
         return self.process.exitcode
 
 
+_starting = threading.Lock()
+
+
+@contextmanager
+def _from_any_program() -> Iterator[None]:
+    """Let :mod:`multiprocessing` start processes from programs that are not made for it.
+
+    Processes would import the main module. Without this, scripts need no ``if __name__ ==
+    "__main__":``, and programs from standard input, which have no path, can start workers. In the
+    meantime other threads find the content of the module. Daemonic processes, for instance those
+    of a :class:`multiprocessing.Pool`, may have children, since workers end with their parent.
+    """
+    with _starting:
+        main, stand_in = sys.modules["__main__"], ModuleType("__main__")
+        vars(stand_in).update(vars(main), __spec__=None)
+        vars(stand_in).pop("__file__", None)
+        sys.modules["__main__"] = stand_in
+        process = multiprocessing.current_process()
+        daemon, process.daemon = process.daemon, False
+        try:
+            yield
+        finally:
+            process.daemon = daemon
+            sys.modules["__main__"] = main
+
+
 class WorkerProcess:
     """The worker process, with its connections and the job that it works on.
 
@@ -193,6 +223,8 @@ class WorkerProcess:
         self._shared: SharedDevice | None = None
         self._job = b""
         """Pickled job that is not open yet."""
+        self._folder = ""
+        """Current folder of the parent, to which paths in the job are relative."""
         self._perform: Callable[[Any], Any] | None = None
         self._context = ExitStack()
 
@@ -201,10 +233,11 @@ class WorkerProcess:
         with suppress(EOFError, OSError):
             self.report_progress()
             while True:
-                with_job, task = self._pipe.recv()
-                if with_job:
+                folder, task = self._pipe.recv()
+                if folder:  # a job follows
                     self._context.close()
-                    self._job, self._perform = self._pipe.recv_bytes(), None
+                    self._folder, self._job = folder, self._pipe.recv_bytes()
+                    self._perform = None
                 self._pipe.send(_Answer(self._answer(task)))
 
     def _answer(self, task: Any) -> Any:
@@ -214,6 +247,7 @@ class WorkerProcess:
         """
         try:
             if self._perform is None:
+                os.chdir(self._folder)
                 job: Job = pickle.loads(self._job)
                 self._perform = self._context.enter_context(job.open(self))
                 self._job = b""  # an index of a log may be large

@@ -183,7 +183,7 @@ def _why_apart(first: int, before: Signature | None, second: int, now: Signature
     if why := _other_kind(before, now):
         return why
     pause_ns = now.span_ns[0] - before.span_ns[1]
-    if pause_ns < -_MAX_OVERLAP_NS:
+    if pause_ns < -_MAX_OVERLAP_NS or now.span_ns[0] <= before.span_ns[0]:
         return "their images overlap in time or are in the wrong order"
     if pause_ns > max(_MAX_GAP_NS, 2 * max(before.period_ns, now.period_ns)):
         return f"they are {pause_ns / 1e9:.1f} s apart"
