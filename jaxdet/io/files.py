@@ -39,12 +39,12 @@ _OTHERS = {
     ".mkv": "if it is from an Azure Kinect, export it with Open3D's azure_kinect_mkv_reader.py",
     ".oni": f"open it with OpenNI 2, and {_AS_IMAGES}",
     ".sens": "export its images with ScanNet's SensReader",
+    ".depth.pgm": "convert its depth to 16-bit PNG (frame-000000.depth.png)",
     ".r3d": "in Record3D, export it as EXR + JPG sequence, and convert its depth to PNG as jaxdet "
     "help logs shows",
 }
 """Unsupported recordings by the end of their names, with remedies; the first match counts."""
-_PNG = "convert it to 16-bit PNG in millimetres, as jaxdet help logs shows (the Python package "
-_PNG += "OpenEXR reads it)"
+_PNG = "export it as 16-bit PNG in millimetres; jaxdet help logs shows how to convert OpenEXR"
 EXPORTED = ".jaxdet.mcap"
 """End of the names of files exported for Foxglove and ROS 2. They are recognised by name, since
 their headers are those of any MCAP file."""
@@ -262,10 +262,11 @@ def _files(text: str) -> tuple[list[Path], str]:
     folders = [item for item in images if item not in copies]
     if not found and (folders or shut):
         return [*folders, *shut], ""
-    exr = [file for file in seen if file.suffix.lower() == ".exr"]
-    if not found and exr:
-        problem = "depth in OpenEXR files (for example from Record3D) is not supported"
-        raise InputError(problem, path=str(exr[0].parent), remedy=_PNG)
+    depth = [file for file in seen if file.parent.name.lower() == "depth" and file.suffix]
+    depth = [file for file in depth if file.suffix.lower() != ".png"]
+    if not found and depth:
+        problem = f"depth in {depth[0].suffix} files is not supported"
+        raise InputError(problem, path=str(depth[0].parent), remedy=_PNG)
     if not found and datasets:
         # Their depth is video of 12 bits, TIFF or Parquet, depending on the version.
         problem = "LeRobot datasets are not supported, as they contain no camera calibration"
