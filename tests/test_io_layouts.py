@@ -8,16 +8,18 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from jaxdet.io import Log, LogOptions, open_log
 from jaxdet.sim import SimConfig, write_log
-from tests.io_foxglove import put_proto
-from tests.io_helpers import LogFile
+from tests.io_foxglove import put_json, put_proto
+from tests.io_helpers import LogFile, ros_header, ros_type
 from tests.rewritten import Message, changed, read_messages, write_messages
 
 COLOR, DEPTH = "/camera/camera/color", "/camera/camera/depth"
@@ -347,39 +349,69 @@ def test_logs_of_each_driver_equal_the_simulated_one(simulated, tmp_path, driver
 
 
 @pytest.mark.parametrize("form", ["raw", "aligned"])
-def test_logs_of_the_foxglove_sdk_equal_the_simulated_one(simulated, tmp_path, form):
-    """The messages are protobuf, and each transform is a separate message."""
+@pytest.mark.parametrize("encoding", ["protobuf", "json", "cdr"])
+@pytest.mark.parametrize("compressed", [False, True])
+def test_logs_of_the_foxglove_sdk_equal_the_simulated_one(
+    simulated, tmp_path, form, encoding, compressed
+):
+    """Each transform is a separate message; CDR has the types of ``foxglove_msgs``."""
     path = simulated(form, 30.0)
     with LogFile(tmp_path / "log.mcap") as log:
         for message in read_messages(path):
-            write_foxglove(log, message)
+            write_foxglove(log, message, encoding, compressed)
     with open_log(tmp_path / "log.mcap") as found, open_log(path) as expected:
         assert not found.description.warnings
         same_log(found, expected)
 
 
-def write_foxglove(log: LogFile, message: Message) -> None:
+def write_foxglove(log: LogFile, message: Message, encoding: str, compressed: bool) -> None:
     """Write a message in the schemas of Foxglove, which has none for odometry."""
     body, at = message.body, message.log_ns
     if message.kind == "tf2_msgs/TFMessage":
         for item in body["transforms"]:
             ends = {"parent_frame_id": item["header"]["frame_id"]}
             ends["child_frame_id"] = item["child_frame_id"]
-            put_proto(log, message.topic, FrameTransform, ends | item["transform"], at)
+            put(log, message.topic, FrameTransform, ends | item["transform"], at, encoding)
         return
     if message.kind not in ("sensor_msgs/Image", "sensor_msgs/CameraInfo"):
         return
     stamp = body["header"]["stamp"]
     fields: dict[str, Any] = {"frame_id": body["header"]["frame_id"]}
-    fields |= {"width": body["width"], "height": body["height"]}
-    if message.kind == "sensor_msgs/Image":
-        fields |= {"encoding": body["encoding"], "step": body["step"], "data": body["data"]}
-        kind: Any = RawImage
-    else:
-        fields |= {"distortion_model": body["distortion_model"], "D": body["d"]}
+    size = {"width": body["width"], "height": body["height"]}
+    if message.kind == "sensor_msgs/CameraInfo":
+        fields |= size | {"distortion_model": body["distortion_model"], "D": body["d"]}
         fields |= {"K": body["k"], "R": body["r"], "P": body["p"]}
-        kind = CameraCalibration
-    put_proto(log, message.topic, kind, fields, stamp["sec"] * 10**9 + stamp["nanosec"])
+        kind: Any = CameraCalibration
+    elif compressed:
+        pixels = message.pixels
+        png = cv2.imencode(".png", pixels[..., ::-1] if pixels.ndim == 3 else pixels)[1]
+        fields |= {"data": png.tobytes(), "format": "png"}
+        kind = CompressedImage
+    else:
+        fields |= size | {"encoding": body["encoding"], "step": body["step"], "data": body["data"]}
+        kind = RawImage
+    at = stamp["sec"] * 10**9 + stamp["nanosec"]
+    put(log, message.topic, kind, fields, at, encoding)
+
+
+def put(
+    log: LogFile, topic: str, kind: Any, fields: dict[str, Any], at: int, encoding: str
+) -> None:
+    """Write a message of Foxglove in an encoding."""
+    if encoding != "cdr":
+        (put_proto if encoding == "protobuf" else put_json)(log, topic, kind, fields, at)
+        return
+    point, turn = (ros_type(f"geometry_msgs/msg/{name}") for name in ("Vector3", "Quaternion"))
+    make: dict[str, Callable[[Any], Any]] = {"data": lambda data: np.frombuffer(data, np.uint8)}
+    make |= {"translation": lambda t: point(**t), "rotation": lambda q: turn(**q)}
+    make |= dict.fromkeys("DKRP", lambda values: np.array(values, np.float64))
+    values = {
+        name.lower() if name in "DKRP" else name: make.get(name, lambda same: same)(value)
+        for name, value in fields.items()
+    }
+    stamp = ros_header(at, "").stamp
+    message = ros_type(kind.DESCRIPTOR.full_name.replace("foxglove.", "foxglove_msgs/msg/"))
+    log.ros(topic, message(stamp, **values), at)
 
 
 def test_the_two_front_cameras_of_a_spot_are_separate_cameras(simulated, tmp_path):
