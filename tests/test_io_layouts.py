@@ -603,3 +603,60 @@ def test_the_two_front_cameras_of_a_spot_are_separate_cameras(simulated, tmp_pat
         options = LogOptions(camera=camera)
         with open_log(both, options) as found, open_log(path) as expected:
             same_log(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("driver", "color", "other", "frame", "wide"),
+    [
+        ("ZED", "rgb/color/rect/image", "stereo/color/rect/image", "", 2),
+        ("ZED", "left/color/rect/image", "right/color/rect/image", "zed_right_optical", 1),
+        ("OAK-D", "rgb/image_raw", "rgb/preview/image_raw", "", 0.5),
+        ("OAK-D", "left/image_rect_color", "right/image_rect_color", "oak_right_optical", 1),
+    ],
+)
+def test_colour_with_the_frame_and_size_of_depth_is_preferred(
+    simulated, tmp_path, driver, color, other, frame, wide
+):
+    given = LAYOUTS[driver]
+    root = given.color[: -len("rgb/image_raw" if driver == "OAK-D" else "rgb/color/rect/image")]
+    layout = given._replace(color=root + color, others=())
+
+    def add(message: Message) -> list[Message] | None:
+        if message.topic not in (layout.color, info_topic(layout.color)):
+            return None
+        (more,) = changed([message])
+        more.topic = message.topic.replace(
+            root + color.rpartition("/")[0], root + other.rpartition("/")[0]
+        )
+        header = more.body["header"]
+        header["frame_id"] = frame or header["frame_id"]
+        if message.kind == "sensor_msgs/Image":
+            more.show(cv2.resize(more.pixels, None, fx=wide, fy=1))
+        return [message, more]
+
+    path = simulated(layout.form, layout.rate_hz)
+    both = changed(published(layout, read_messages(path)), add)
+    with open_log(write_messages(tmp_path / "log.mcap", both)) as found, open_log(path) as expected:
+        assert {topic.topic for topic in found.description.topics} >= {root + color, root + other}
+        assert not found.description.warnings
+        same_log(found, expected)
+
+
+def test_the_rectified_image_is_used_with_rectified_depth(simulated, tmp_path):
+    """Its calibration has no distortion, so that of the camera must not be applied to depth."""
+    layout = LAYOUTS["Kinect 2, quarter HD with one calibration"]
+    path = simulated(layout.form, layout.rate_hz)
+
+    def distort(message: Message) -> list[Message] | None:
+        if message.kind == "sensor_msgs/CameraInfo":
+            message.body["d"] = [0.05, -0.1, 0.0, 0.0, 0.0]
+        if message.topic != layout.color:
+            return None
+        (raw,) = changed([message])
+        raw.topic = raw.topic.removesuffix("_rect")
+        return [message, raw]
+
+    messages = changed(published(layout, read_messages(path)), distort)
+    with open_log(write_messages(tmp_path / "log.mcap", messages)) as found, open_log(path) as log:
+        assert found.calibration.image[:6] == log.calibration.image[:6]
+        assert found.calibration.image.distortion == "none"
