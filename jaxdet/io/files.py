@@ -14,7 +14,7 @@ from jaxdet.io.container import RECORDINGS
 from jaxdet.io.folders.layouts import LAYOUTS, image_folders
 from jaxdet.io.folders.recording import APPLE_DOUBLE
 from jaxdet.io.formats import PACKED, is_packed
-from jaxdet.io.splits import Recording, recording_around, recordings, signature
+from jaxdet.io.splits import Recording, listed_files, recording_around, recordings, signature
 
 SUFFIXES = (*RECORDINGS, *PACKED)
 """Suffixes of the files that are read, by priority. The name of a compressed file has two suffixes,
@@ -187,12 +187,20 @@ def _place(path: Path, folders: dict[Path, Path]) -> Path:
 
 
 def missing_splits(log: LogFiles) -> tuple[int, ...]:
-    """Return the first missing numbers between the first and the last split of a log."""
+    """Return the first missing numbers of a log's splits.
+
+    These are the numbers between its first and its last split, and those of files that its
+    ``metadata.yaml`` lists but that do not exist.
+    """
     numbers = {_split(path)[1] for path in log.paths}
-    if len(log.paths) < 2 or -1 in numbers:
+    if -1 in numbers:
         return ()
     gaps = (range(one + 1, other) for one, other in pairwise(sorted(numbers)))
-    return tuple(islice(chain.from_iterable(gaps), _MAX_MISSING))
+    folder = log.paths[0].parent
+    listed = {folder / name for name in listed_files(folder)}
+    gone = () if listed.isdisjoint(log.paths) else (one for one in listed if not one.exists())
+    between = islice(chain.from_iterable(gaps), _MAX_MISSING)
+    return tuple(sorted({*between, *(_split(path)[1] for path in gone)}))
 
 
 def siblings(log: LogFiles) -> tuple[Path, ...]:
