@@ -62,7 +62,7 @@ def parse(kind: Kind, message: Any, schema_name: str) -> Message:
 
 
 def _head(message: Any) -> tuple[int, str]:
-    """Return timestamp [ns] and TF frame of a ROS message, or of a Foxglove message in any encoding.
+    """Return timestamp [ns] and TF frame of a message of ROS or Foxglove.
 
     The fields of the timestamp have other names in ROS, protobuf and JSON.
     """
