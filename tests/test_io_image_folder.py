@@ -451,6 +451,16 @@ def test_depth_images_after_the_end_of_torn_odometry_are_reported(tmp_path):
         )
 
 
+@pytest.mark.filterwarnings("error")
+def test_invalid_poses_of_phones_are_ignored(tmp_path):
+    write_stray(tmp_path)
+    path = tmp_path / "odometry.csv"
+    path.write_text(path.read_text().replace("1.0, 0.0, 0.0, 0.0", "0.0, 0.0, 0.0, 0.0", 1))
+    with open_log(str(tmp_path)) as log:
+        assert log.num_frames == 3 and log.T_world_camera is not None
+        assert np.isfinite(log.T_world_camera[1:]).all()
+
+
 def test_confidences_may_be_padded_differently(tmp_path):
     folder = write_open3d(tmp_path / "room")
     (folder / "Confidence").mkdir()
@@ -493,6 +503,10 @@ def test_record3d_folders_with_depth_in_png_are_read(tmp_path):
     with open_log(str(tmp_path)) as log:
         assert log.num_frames == 3 and log.T_world_camera is not None
         assert np.isfinite(log.T_world_camera[0]).all()
+    for wrong in ({"frameTimestamps": [[0.0, 1.0]]}, {"fps": 0}):
+        (tmp_path / "metadata.json").write_text(json.dumps(about | wrong))
+        with pytest.raises(InputError, match=r"recording's data can't be read .*; export it again"):
+            open_log(str(tmp_path))
     swapped = about | {"w": height, "h": width}
     (tmp_path / "metadata.json").write_text(json.dumps(swapped))
     with pytest.raises(InputError, match=r"matrix is for 30x40 pixels, but images have 40x30"):

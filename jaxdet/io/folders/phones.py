@@ -87,14 +87,16 @@ def read_record3d(folder: Path) -> Recording | None:
         poses = motion_matrix(values[:, 4:], values[:, :4]) @ _ARKIT_OPTICAL
         K = np.array(about["K"], np.float64).reshape(3, 3).T
         size = int(about["w"]), int(about["h"])
-        return _recording(folder, range(len(times)), np.array(times), poses, K, size)
+        times_s = np.array(times, np.float64).reshape(len(times))
+        return _recording(folder, range(len(times)), times_s, poses, K, size)
 
 
 @contextmanager
 def _damage_as_error(folder: Path) -> Iterator[None]:
-    """Convert the errors of damaged metadata to ``InputError``."""
+    """Convert the errors of damaged metadata to ``InputError``; invalid poses become NaN."""
     try:
-        yield
+        with np.errstate(all="ignore"):
+            yield
     except (ArithmeticError, csv.Error, KeyError, TypeError, ValueError, RecursionError) as error:
         problem = f"the recording's data can't be read ({type(error).__name__}: {error})"
         raise InputError(problem, path=str(folder), remedy="export it again") from error
