@@ -585,11 +585,15 @@ def test_images_with_the_same_frame_number_are_an_error(tmp_path):
         open_log(str(folder))
 
 
-def test_a_list_of_images_that_do_not_exist_is_an_error(tmp_path):
+@pytest.mark.parametrize("kind", ["rgb", "depth"])
+def test_a_list_of_images_that_do_not_exist_is_an_error(tmp_path, kind):
     folder = write_tum(tmp_path)
-    text = (folder / "depth.txt").read_text()
-    (folder / "depth.txt").write_text(text.replace("depth/", "depth\\"))
+    path = folder / f"{kind}.txt"
+    path.write_text(path.read_text().replace(f"{kind}/", f"{kind}\\"))
     with pytest.raises(
-        InputError, match=r"none of the 3 depth images .* exists, .*depth\\1305.*png"
+        InputError, match=rf"{kind}\.txt: none of the 3 images .* exists.*{kind}.*png"
     ):
+        open_log(str(folder), GIVEN)
+    path.write_text("")
+    with pytest.raises(InputError, match=rf"{kind}\.txt: none of the 0 images .* remove the list"):
         open_log(str(folder), GIVEN)

@@ -91,14 +91,10 @@ def read(
     """Read a folder; ``cameras`` reads its calibration from the folder and its images.
 
     Raises:
-        InputError: A file, or the name of an image, is not as expected, or no depth image exists.
+        InputError: A file, or the name of an image, is not as expected.
     """
     colors, has_color_stamps = _images(folder, color)
     depths, has_depth_stamps = _images(folder, depth)
-    if not any(image.path.is_file() for image in depths):
-        names = f", for example {printable(str(depths[0].path))}" if depths else ""
-        problem = f"none of the {len(depths)} depth images that a text file lists exists{names}"
-        raise InputError(problem, path=str(folder), remedy="correct the names in the text file")
     found = _listed_poses(folder) + _poses_of_frames(depths, depth, poses.by_frame(folder))
     note = ""
     if not (has_color_stamps and has_depth_stamps):
@@ -112,7 +108,12 @@ def _images(folder: Path, files: ImageFiles) -> tuple[list[Image], bool]:
     lists = (folder / f"{name}.txt" for name in files.folders)
     if path := next((path for path in lists if path.is_file()), None):
         rows = read_table(path, 2)
-        return [Image(nanoseconds(stamp, path), folder / name) for stamp, name in rows], True
+        listed = [Image(nanoseconds(stamp, path), folder / name) for stamp, name in rows]
+        if not any(image.path.is_file() for image in listed):
+            example = f", for example {printable(rows[0][1])!r}" if rows else ""
+            problem = f"none of the {len(rows)} images in this list exists{example}"
+            raise InputError(problem, path=str(path), remedy="correct or remove the list")
+        return listed, True
     images = {image: files.frame_name(image) for image in files.paths(folder)}
     if all("." in name for name in images.values()):
         return [Image(nanoseconds(name, path), path) for path, name in images.items()], True
