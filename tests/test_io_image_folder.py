@@ -117,6 +117,35 @@ def test_without_lists_file_names_are_timestamps(tmp_path):
         assert_frames(log, [int(stamp.replace(".", "")) * 1000 for stamp in STAMPS])
 
 
+def with_capitals(folder: Path) -> Path:
+    """Convert all names in a folder to upper case."""
+    for path in sorted(folder.rglob("*"), reverse=True):
+        path.rename(path.with_name(path.name.upper()))
+    return folder
+
+
+def test_case_of_names_is_ignored(tmp_path):
+    """The lists name the images as they are."""
+    folder = write_tum(tmp_path / "tum")
+    for name in ("rgb", "depth"):
+        text = (folder / f"{name}.txt").read_text()
+        (folder / f"{name}.txt").write_text(
+            text.replace(f"{name}/", f"{name.upper()}/").replace("png", "PNG")
+        )
+    with open_log(with_capitals(folder), GIVEN) as log:
+        assert_frames(log, [int(stamp.replace(".", "")) * 1000 for stamp in STAMPS])
+        assert log.T_world_camera is not None
+    folder = with_capitals(write_open3d(tmp_path / "room", depth_scale=5000))
+    with open_log(folder) as log:
+        assert_frames(log, [10**9 + number * 10**9 // 30 for number in (8, 9, 10)])
+        assert log.calibration.depth_unit == 0.0002
+    (tmp_path / "stray").mkdir()
+    confidence = write_stray(tmp_path / "stray")
+    with open_log(with_capitals(tmp_path / "stray")) as log:
+        np.testing.assert_array_equal(log[2].depth, np.where(confidence[2] > 0, images()[1][2], 0))
+        assert_phone_poses(log)
+
+
 @pytest.mark.parametrize("scan", [False, True])
 def test_open3d_folders_have_a_camera_and_frame_numbers(tmp_path, scan):
     folder = write_open3d(tmp_path / "room", depth_scale=5000)

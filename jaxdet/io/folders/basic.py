@@ -37,6 +37,7 @@ from jaxdet.io.folders.recording import (
     ImageFiles,
     Pose,
     Recording,
+    entry,
     nanoseconds,
     read_matrix,
     read_table,
@@ -57,7 +58,8 @@ _MAX_DIGITS = 9
 
 def read_cameras(folder: Path, *_unused: Sequence[Image]) -> Cameras:
     """Read camera and depth unit from the JSON file with a camera matrix, if there is one."""
-    found = [(path, about) for path in sorted(folder.glob("*.json")) if (about := _camera(path))]
+    files = [path for path in sorted(folder.iterdir()) if path.suffix.lower() == ".json"]
+    found = [(path, about) for path in files if (about := _camera(path))]
     if not found:
         return Cameras()
     if len(found) > 1:
@@ -105,11 +107,11 @@ def read(
 
 def _images(folder: Path, files: ImageFiles) -> tuple[list[Image], bool]:
     """Return images, and whether their timestamps were recorded."""
-    lists = (folder / f"{name}.txt" for name in files.folders)
+    lists = (entry(folder, f"{name}.txt") for name in files.folders)
     if path := next((path for path in lists if path.is_file()), None):
         rows = read_table(path, 2)
         listed = [Image(nanoseconds(stamp, path), folder / name) for stamp, name in rows]
-        if not any(image.path.is_file() for image in listed):
+        if not any(image.path.is_file() for image in listed) and files.paths(folder):
             example = f", for example {printable(rows[0][1])!r}" if rows else ""
             problem = f"none of the {len(rows)} images in this list exists{example}"
             raise InputError(problem, path=str(path), remedy="correct or remove the list")
@@ -163,7 +165,7 @@ def _camera(path: Path) -> dict[str, Any] | None:
 
 def _listed_poses(folder: Path) -> list[Pose]:
     """Read the poses in ``groundtruth.txt``."""
-    path = folder / "groundtruth.txt"
+    path = entry(folder, "groundtruth.txt")
     if not path.exists():
         return []
     found = []

@@ -18,6 +18,7 @@ from jaxdet.io.folders.recording import (
     Image,
     ImageFiles,
     Recording,
+    entry,
     image_size,
     read_matrix,
 )
@@ -77,20 +78,20 @@ def _scannet_cameras(folder: Path, color: Sequence[Image], depth: Sequence[Image
 
 def _read_openloris(folder: Path) -> Recording | None:
     """Read a folder with depth aligned to colour in ``aligned_depth``, next to raw depth."""
-    if not (folder / "aligned_depth").is_dir():
+    if not _ALIGNED_DEPTH.paths(folder):
         return None
     return basic.read(folder, depth=_ALIGNED_DEPTH)
 
 
 def _read_sun3d(folder: Path) -> Recording | None:
     """Read a folder with the camera matrix (3, 3) in ``intrinsics.txt``; depth bits are rotated."""
-    if not (folder / _SUN3D_MATRIX).is_file():
+    if not entry(folder, _SUN3D_MATRIX).is_file():
         return None
     return basic.read(folder, cameras=_sun3d_cameras)._replace(is_rotated=True)
 
 
 def _sun3d_cameras(folder: Path, color: Sequence[Image], depth: Sequence[Image]) -> Cameras:
-    return Cameras(_camera(folder / _SUN3D_MATRIX, 3, color or depth))
+    return Cameras(_camera(entry(folder, _SUN3D_MATRIX), 3, color or depth))
 
 
 def _camera(path: Path, rows: int, images: Sequence[Image]) -> Intrinsics | None:

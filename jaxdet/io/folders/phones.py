@@ -31,6 +31,7 @@ from jaxdet.io.folders.recording import (
     ImageFiles,
     Pose,
     Recording,
+    entry,
     image_size,
     read_text,
 )
@@ -55,13 +56,14 @@ def read_stray_scanner(folder: Path) -> Recording | None:
     Raises:
         InputError: A file is damaged, or no depth image has a timestamp.
     """
-    if not ((folder / ODOMETRY).is_file() and (folder / MATRIX).is_file()):
+    odometry, matrix = entry(folder, ODOMETRY), entry(folder, MATRIX)
+    if not (odometry.is_file() and matrix.is_file()):
         return None
     with _damage_as_error(folder):
-        lines = read_text(folder / ODOMETRY).splitlines()[1:]
+        lines = read_text(odometry).splitlines()[1:]
         rows = csv.reader(lines, skipinitialspace=True)
         values = np.array([row[:9] for row in rows if len(row) >= 9], np.float64).reshape(-1, 9)
-        K = np.array([*csv.reader(read_text(folder / MATRIX).splitlines())], np.float64)
+        K = np.array([*csv.reader(read_text(matrix).splitlines())], np.float64)
         poses = motion_matrix(values[:, 2:5], values[:, 5:9])
         numbers = values[:, 1].astype(np.int64).tolist()
         return _recording(folder, numbers, values[:, 0], poses, K.reshape(3, 3), _VIDEO_SIZE)
@@ -73,10 +75,11 @@ def read_record3d(folder: Path) -> Recording | None:
     Raises:
         InputError: A file is damaged, or no depth image has a timestamp.
     """
-    if not (folder / METADATA).is_file():
+    metadata = entry(folder, METADATA)
+    if not metadata.is_file():
         return None
     with _damage_as_error(folder):
-        about = json.loads(read_text(folder / METADATA))
+        about = json.loads(read_text(metadata))
         if not isinstance(about, dict) or not {"K", "w", "h"} <= about.keys():
             return None
         values = np.array(about.get("poses", []), np.float64).reshape(-1, 7)

@@ -143,6 +143,11 @@ def image_size(images: Sequence[Image]) -> tuple[int, int] | None:
         raise InputError(error.problem, path=str(path), remedy="remove it") from error
 
 
+def entry(folder: Path, name: str) -> Path:
+    """Return the path in a folder with a name in lower case, ignoring case; it may not exist."""
+    return next((path for path in folder.iterdir() if path.name.lower() == name), folder / name)
+
+
 def read_text(path: Path) -> str:
     """Read a text file, with or without a byte order mark; invalid bytes are replaced.
 
