@@ -231,6 +231,7 @@ def test_an_unreadable_folder_does_not_affect_others(tmp_path):
 
 def test_metadata_files_of_macos_are_ignored(tmp_path):
     folder = write_open3d(tmp_path / "room")
+    (folder / "pose").write_text("a file, not a folder")
     for path in [*folder.glob("*/*.png"), folder / "drive.mcap", folder / "camera.json"]:
         path.with_name(f"._{path.name}").write_bytes(b"\0\5\26\7")
     [files] = find_logs([str(tmp_path)])

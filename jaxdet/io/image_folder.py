@@ -153,7 +153,8 @@ class ImageFolder(MessageFile):
 def _state(folder: Path) -> FileState:
     """Return the state of a folder, with the latest change of the folder or its subfolders."""
     about = os.stat(folder)
-    parts = [os.stat(part) for part in sorted(folder.iterdir()) if part.is_dir()]
+    with os.scandir(folder) as entries:
+        parts = [os.stat(part) for part in entries if part.is_dir()]
     latest = max(item.st_mtime_ns for item in (about, *parts))
     return FileState(about.st_dev, about.st_ino, about.st_size, latest)
 

@@ -39,20 +39,22 @@ class ImageFiles(NamedTuple):
         return file.parent.parent if file.parent.name.lower() in self.folders else None
 
     def paths(self, folder: Path) -> list[Path]:
-        """Return the images of a recording in order of name.
+        """Return the files of a recording in order of name.
 
         Raises:
-            InputError: Several subfolders have images.
+            InputError: Several subfolders have files.
         """
         parts = [folder]
         if self.folders:
-            parts = sorted(part for part in folder.iterdir() if part.name.lower() in self.folders)
+            named = (part for part in folder.iterdir() if part.name.lower() in self.folders)
+            parts = sorted(part for part in named if part.is_dir())
         if len(parts) > 1:
             problem = f"several folders of images: {', '.join(part.name for part in parts)}"
             raise InputError(problem, path=str(folder), remedy="keep one")
         files = (file for part in parts for file in part.iterdir())
+        files = (file for file in files if file.name.lower().endswith(self.endings))
         files = (file for file in files if not file.name.startswith(APPLE_DOUBLE))
-        return sorted(file for file in files if file.name.lower().endswith(self.endings))
+        return sorted(files, key=lambda file: file.name)
 
     def frame_name(self, image: Path) -> str:
         """Return the name of an image's frame, without the ending."""
