@@ -627,3 +627,10 @@ def test_a_list_of_images_that_do_not_exist_is_an_error(tmp_path, kind):
     path.write_text("")
     with pytest.raises(InputError, match=rf"{kind}\.txt: none of the 0 images .* remove the list"):
         open_log(str(folder), GIVEN)
+
+
+def test_a_list_of_colour_in_a_folder_without_colour_is_ignored(tmp_path):
+    folder = write_tum(tmp_path)
+    shutil.rmtree(folder / "rgb")
+    with open_log(str(folder), GIVEN) as log:
+        assert log.num_frames == 3 and not log.has_color

@@ -108,10 +108,11 @@ def read(
 def _images(folder: Path, files: ImageFiles) -> tuple[list[Image], bool]:
     """Return images, and whether their timestamps were recorded."""
     lists = (entry(folder, f"{name}.txt") for name in files.folders)
-    if path := next((path for path in lists if path.is_file()), None):
+    path = next((path for path in lists if path.is_file()), None)
+    if path and files.paths(folder):
         rows = read_table(path, 2)
         listed = [Image(nanoseconds(stamp, path), folder / name) for stamp, name in rows]
-        if not any(image.path.is_file() for image in listed) and files.paths(folder):
+        if not any(image.path.is_file() for image in listed):
             example = f", for example {printable(rows[0][1])!r}" if rows else ""
             problem = f"none of the {len(rows)} images in this list exists{example}"
             raise InputError(problem, path=str(path), remedy="correct or remove the list")
