@@ -33,7 +33,7 @@ from tests.io_helpers import (
 def write_foxglove(path: Path, scene: Scene, form: str, pose: bool = False) -> Path:
     """Write the log of :func:`write_log` in the schemas of Foxglove; ``form`` is proto or json."""
     with LogFile(path) as log:
-        put = put_proto if form == "proto" else _put_json
+        put = put_proto if form == "proto" else put_json
         cameras = (
             (COLOR_INFO, COLOR_SIZE, COLOR_K, COLOR_FRAME),
             (DEPTH_INFO, DEPTH_SIZE, DEPTH_K, DEPTH_FRAME),
@@ -70,7 +70,7 @@ def put_proto(log: LogFile, topic: str, kind: Any, fields: dict[str, Any], at: i
     log.proto(topic, message, at)
 
 
-def _put_json(log: LogFile, topic: str, kind: Any, fields: dict[str, Any], at: int) -> None:
+def put_json(log: LogFile, topic: str, kind: Any, fields: dict[str, Any], at: int) -> None:
     fields = {
         name: base64.b64encode(value).decode() if isinstance(value, bytes) else value
         for name, value in fields.items()

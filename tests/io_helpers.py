@@ -24,8 +24,23 @@ REALSENSE = {
         "sensor_msgs/Image depth\n"
     ),
 }
+REALSENSE_ROS1 = {
+    "realsense2_camera/msg/Extrinsics": "std_msgs/Header header\n"
+    + REALSENSE["realsense2_camera_msgs/msg/Extrinsics"]
+}
+_STAMPED = "builtin_interfaces/Time timestamp\nstring frame_id\n"
+FOXGLOVE = {
+    "foxglove_msgs/msg/RawImage": f"{_STAMPED}uint32 width\nuint32 height\nstring encoding\n"
+    "uint32 step\nuint8[] data\n",
+    "foxglove_msgs/msg/CompressedImage": f"{_STAMPED}uint8[] data\nstring format\n",
+    "foxglove_msgs/msg/CameraCalibration": f"{_STAMPED}uint32 width\nuint32 height\n"
+    "string distortion_model\nfloat64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\n",
+    "foxglove_msgs/msg/FrameTransform": "builtin_interfaces/Time timestamp\n"
+    "string parent_frame_id\nstring child_frame_id\n"
+    "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
+}
 STORE = get_typestore(Stores.ROS2_JAZZY)
-for _name, _text in REALSENSE.items():
+for _name, _text in {**REALSENSE, **REALSENSE_ROS1, **FOXGLOVE}.items():
     STORE.register(get_types_from_msg(_text, _name))
 
 COLOR, DEPTH = "/cam/color/image_raw", "/cam/depth/image_rect_raw"

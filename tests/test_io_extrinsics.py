@@ -24,6 +24,7 @@ from tests.io_helpers import (
     T_DEPTH_COLOR,
     LogFile,
     make_scene,
+    ros_header,
     ros_image,
     ros_info,
     ros_odometry,
@@ -57,6 +58,19 @@ def test_the_extrinsics_topic_is_column_major_and_overrides_tf(tmp_path):
         write_images(log, make_scene())
     with open_log(str(path)) as log:
         assert any("differs from TF" in text for text in log.description.warnings)
+
+
+def test_extrinsics_of_the_driver_for_ros_1_are_read(tmp_path):
+    with LogFile(tmp_path / "log.mcap") as log:
+        write_calibration(log, tf=False)
+        message = ros_type("realsense2_camera/msg/Extrinsics")
+        rotation = T_COLOR_DEPTH[:3, :3].T.reshape(-1)
+        found = message(ros_header(START, "c"), rotation, T_COLOR_DEPTH[:3, 3].copy())
+        log.ros("/cam/extrinsics/depth_to_color", found, START)
+        write_images(log, make_scene())
+    with open_log(tmp_path / "log.mcap") as log:
+        assert log.calibration.color_from_depth is not None
+        np.testing.assert_allclose(log.calibration.color_from_depth.T, T_COLOR_DEPTH, atol=1e-12)
 
 
 @pytest.mark.parametrize("with_tf", [True, False])

@@ -117,6 +117,35 @@ def test_without_lists_file_names_are_timestamps(tmp_path):
         assert_frames(log, [int(stamp.replace(".", "")) * 1000 for stamp in STAMPS])
 
 
+def with_capitals(folder: Path) -> Path:
+    """Convert all names in a folder to upper case."""
+    for path in sorted(folder.rglob("*"), reverse=True):
+        path.rename(path.with_name(path.name.upper()))
+    return folder
+
+
+def test_case_of_names_is_ignored(tmp_path):
+    """The lists name the images as they are."""
+    folder = write_tum(tmp_path / "tum")
+    for name in ("rgb", "depth"):
+        text = (folder / f"{name}.txt").read_text()
+        (folder / f"{name}.txt").write_text(
+            text.replace(f"{name}/", f"{name.upper()}/").replace("png", "PNG")
+        )
+    with open_log(with_capitals(folder), GIVEN) as log:
+        assert_frames(log, [int(stamp.replace(".", "")) * 1000 for stamp in STAMPS])
+        assert log.T_world_camera is not None
+    folder = with_capitals(write_open3d(tmp_path / "room", depth_scale=5000))
+    with open_log(folder) as log:
+        assert_frames(log, [10**9 + number * 10**9 // 30 for number in (8, 9, 10)])
+        assert log.calibration.depth_unit == 0.0002
+    (tmp_path / "stray").mkdir()
+    confidence = write_stray(tmp_path / "stray")
+    with open_log(with_capitals(tmp_path / "stray")) as log:
+        np.testing.assert_array_equal(log[2].depth, np.where(confidence[2] > 0, images()[1][2], 0))
+        assert_phone_poses(log)
+
+
 @pytest.mark.parametrize("scan", [False, True])
 def test_open3d_folders_have_a_camera_and_frame_numbers(tmp_path, scan):
     folder = write_open3d(tmp_path / "room", depth_scale=5000)
@@ -202,6 +231,7 @@ def test_an_unreadable_folder_does_not_affect_others(tmp_path):
 
 def test_metadata_files_of_macos_are_ignored(tmp_path):
     folder = write_open3d(tmp_path / "room")
+    (folder / "pose").write_text("a file, not a folder")
     for path in [*folder.glob("*/*.png"), folder / "drive.mcap", folder / "camera.json"]:
         path.with_name(f"._{path.name}").write_bytes(b"\0\5\26\7")
     [files] = find_logs([str(tmp_path)])
@@ -339,9 +369,9 @@ def depth_poses(count: int = 3) -> np.ndarray:
     return T
 
 
-@pytest.mark.parametrize("matrices", ["intrinsic/intrinsic", "intrinsics"])
-@pytest.mark.parametrize("lost", [False, True])
-def test_scannet_folders_have_both_calibrations_and_poses(tmp_path, lost, matrices):
+@pytest.mark.parametrize("matrices", ["intrinsic/intrinsic", "intrinsics", "intrinsic"])
+@pytest.mark.parametrize(("lost", "pose"), [(False, "{}"), (True, "{}"), (False, "{:06d}")])
+def test_scannet_folders_have_both_calibrations_and_poses(tmp_path, lost, pose, matrices):
     write(tmp_path, [f"color/{i}.jpg" for i in (0, 1, 10)], [])
     for image, number in zip(images()[1], (0, 1, 10), strict=True):
         (tmp_path / "depth").mkdir(exist_ok=True)
@@ -355,7 +385,7 @@ def test_scannet_folders_have_both_calibrations_and_poses(tmp_path, lost, matric
     poses = depth_poses()
     for T, number in zip(poses, (0, 1, 10), strict=True):
         T = np.full((4, 4), -np.inf) if lost and number == 1 else T
-        np.savetxt(tmp_path / f"pose/{number}.txt", T)
+        np.savetxt(tmp_path / "pose" / f"{pose.format(number)}.txt", T)
     with open_log(str(tmp_path)) as log:
         np.testing.assert_allclose(log.calibration.depth[2:6], np.array(K) / 2)
         assert log.calibration.color is not None and log.calibration.color[2:6] == K
@@ -438,6 +468,40 @@ def test_a_depth_image_without_its_confidences_is_a_frame_with_an_error(tmp_path
         open_log(str(tmp_path))
 
 
+def test_depth_images_after_the_end_of_torn_odometry_are_reported(tmp_path):
+    write_stray(tmp_path)
+    path = tmp_path / "odometry.csv"
+    path.write_text(path.read_text()[:-20])
+    with open_log(str(tmp_path)) as log:
+        np.testing.assert_array_equal(log.T_world_camera[:, 2, 3], 1.5)
+        assert log.num_frames == 2
+        [warning] = log.description.warnings
+        assert warning.endswith(
+            "1 depth images without a timestamp are left out, for example 000002.png"
+        )
+
+
+@pytest.mark.filterwarnings("error")
+def test_invalid_poses_of_phones_are_ignored(tmp_path):
+    write_stray(tmp_path)
+    path = tmp_path / "odometry.csv"
+    path.write_text(path.read_text().replace("1.0, 0.0, 0.0, 0.0", "0.0, 0.0, 0.0, 0.0", 1))
+    with open_log(str(tmp_path)) as log:
+        assert log.num_frames == 3 and log.T_world_camera is not None
+        assert np.isfinite(log.T_world_camera[1:]).all()
+
+
+def test_confidences_may_be_padded_differently(tmp_path):
+    folder = write_open3d(tmp_path / "room")
+    (folder / "Confidence").mkdir()
+    for number in (8, 9, 10):
+        mask = np.full(SIZE[::-1], number != 9, np.uint8)
+        assert cv2.imwrite(str(folder / "Confidence" / f"{number}.png"), mask)
+    with open_log(str(folder)) as log:
+        assert [frame.error for frame in log] == [""] * 3
+        assert [bool(frame.depth.any()) for frame in log] == [True, False, True]
+
+
 def test_a_missing_depth_image_with_confidences_is_a_frame_with_an_error(tmp_path):
     folder = write_tum(tmp_path)
     (folder / "confidence").mkdir()
@@ -465,13 +529,23 @@ def test_record3d_folders_with_depth_in_png_are_read(tmp_path):
         assert np.diff(log.stamps_ns).tolist() == pytest.approx([1e9 / 60] * 2, abs=2)
         assert log.stamps_ns[0] == 10**9  # zero would mean that there is no timestamp
         assert_phone_poses(log)
+    (tmp_path / "metadata.json").write_text(json.dumps(about | {"poses": poses[:1]}))
+    with open_log(str(tmp_path)) as log:
+        assert log.num_frames == 3 and log.T_world_camera is not None
+        assert np.isfinite(log.T_world_camera[0]).all()
+    for wrong in ({"frameTimestamps": [[0.0, 1.0]]}, {"fps": 0}):
+        (tmp_path / "metadata.json").write_text(json.dumps(about | wrong))
+        with pytest.raises(InputError, match=r"recording's data can't be read .*; export it again"):
+            open_log(str(tmp_path))
     swapped = about | {"w": height, "h": width}
     (tmp_path / "metadata.json").write_text(json.dumps(swapped))
     with pytest.raises(InputError, match=r"matrix is for 30x40 pixels, but images have 40x30"):
         open_log(str(tmp_path))
     for path in (tmp_path / "depth").iterdir():
         path.rename(path.with_suffix(".exr"))
-    with pytest.raises(InputError, match=r"OpenEXR .* is not supported; convert it to 16-bit PNG"):
+    with pytest.raises(
+        InputError, match=r"depth in .exr files is not supported; export it as 16-bit PNG"
+    ):
         open_log(str(tmp_path))
 
 
@@ -493,12 +567,70 @@ def test_times_in_the_names_of_only_one_kind_of_image_cause_a_warning(tmp_path):
             assert warns == (folder != "c")
 
 
-@pytest.mark.parametrize("times", [False, True])
-def test_depth_of_sun3d_folders_is_rotated_by_three_bits(tmp_path, times):
+@pytest.mark.parametrize(("times", "gap"), [(False, "\n"), (True, "\n"), (False, " ")])
+def test_depth_of_sun3d_folders_is_rotated_by_three_bits(tmp_path, times, gap):
     names = [f"{i + 1:07d}" + f"-{i * 33_369:012d}" * times for i in range(3)]
     write(tmp_path, [f"image/{n}.jpg" for n in names], [f"depth/{n}.png" for n in names])
-    (tmp_path / "intrinsics.txt").write_text(f"{K[0]} 0 {K[2]}\n0 {K[1]} {K[3]}\n0 0 1\n")
+    rows = f"{K[0]} 0 {K[2]}", f"0 {K[1]} {K[3]}", "0 0 1"
+    (tmp_path / "intrinsics.txt").write_text(gap.join(rows))
     with open_log(str(tmp_path)) as log:
         assert log.calibration.depth[2:6] == K
         for frame, stored in zip(log, images()[1], strict=True):
             np.testing.assert_array_equal((frame.depth << 3) | (frame.depth >> 13), stored)
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_depth_of_openloris_folders_is_the_aligned_one(tmp_path, raw):
+    parts = ("color", "aligned_depth")
+    names = [[f"{part}/{stamp}.png" for stamp in STAMPS] for part in parts]
+    write(tmp_path, *names)
+    for part, files in zip(parts, names, strict=True):
+        lines = [f"{stamp} {name}\r\n" for stamp, name in zip(STAMPS, files, strict=True)]
+        (tmp_path / f"{part}.txt").write_bytes(
+            b"\xef\xbb\xbf# Time name\r\n" + "".join(lines).encode()
+        )
+    if raw:
+        write(tmp_path, [], [f"depth/{stamp}.png" for stamp in STAMPS[::-1]])
+    with open_log(str(tmp_path), GIVEN) as log:
+        assert_frames(log, [int(stamp.replace(".", "")) * 1000 for stamp in STAMPS])
+
+
+@pytest.mark.parametrize(
+    ("color", "depth"),
+    [("{:05d}", "{:05d}_d16"), ("{}_cam0", "{}_cam0"), ("f{}_640x480", "{}-1403636579763555")],
+)
+def test_frame_numbers_are_the_numbers_that_differ(tmp_path, color, depth):
+    numbers = 8, 9, 10
+    colors = [f"rgb/{color.format(number)}.png" for number in numbers]
+    write(tmp_path, colors, [f"depth/{depth.format(number)}.png" for number in numbers])
+    with open_log(str(tmp_path), LogOptions(color_intrinsics=K)) as log:
+        assert_frames(log, [10**9 + number * 10**9 // 30 for number in numbers])
+
+
+def test_images_with_the_same_frame_number_are_an_error(tmp_path):
+    folder = write_open3d(tmp_path / "room")
+    shutil.copy(folder / "depth" / "000009.png", folder / "depth" / "000009_view.png")
+    text = r"room/depth: 000009\.png and 000009_view\.png have the same frame number; remove one"
+    with pytest.raises(InputError, match=text):
+        open_log(str(folder))
+
+
+@pytest.mark.parametrize("kind", ["rgb", "depth"])
+def test_a_list_of_images_that_do_not_exist_is_an_error(tmp_path, kind):
+    folder = write_tum(tmp_path)
+    path = folder / f"{kind}.txt"
+    path.write_text(path.read_text().replace(f"{kind}/", f"{kind}\\"))
+    with pytest.raises(
+        InputError, match=rf"{kind}\.txt: none of the 3 images .* exists.*{kind}.*png"
+    ):
+        open_log(str(folder), GIVEN)
+    path.write_text("")
+    with pytest.raises(InputError, match=rf"{kind}\.txt: none of the 0 images .* remove the list"):
+        open_log(str(folder), GIVEN)
+
+
+def test_a_list_of_colour_in_a_folder_without_colour_is_ignored(tmp_path):
+    folder = write_tum(tmp_path)
+    shutil.rmtree(folder / "rgb")
+    with open_log(str(folder), GIVEN) as log:
+        assert log.num_frames == 3 and not log.has_color

@@ -8,16 +8,18 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from jaxdet.io import Log, LogOptions, open_log
 from jaxdet.sim import SimConfig, write_log
-from tests.io_foxglove import put_proto
-from tests.io_helpers import LogFile
+from tests.io_foxglove import put_json, put_proto
+from tests.io_helpers import LogFile, ros_header, ros_type
 from tests.rewritten import Message, changed, read_messages, write_messages
 
 COLOR, DEPTH = "/camera/camera/color", "/camera/camera/depth"
@@ -215,6 +217,179 @@ LAYOUTS = {
         "camera_link_optical",
         depth_encoding="32FC1",
     ),
+    "RealSense without a namespace, compact names": Layout(
+        "raw",
+        "/color/image_raw",
+        "/depth/image_rect_raw",
+        "camera",
+        COLOR_FRAME,
+        DEPTH_FRAME,
+    ),
+    "RealSense on a Stretch, in the gripper": Layout(
+        "aligned",
+        "/gripper_camera/color/image_rect_raw",
+        "/gripper_camera/aligned_depth_to_color/image_raw",
+        "gripper_camera",
+        "gripper_camera_color_optical_frame",
+    ),
+    "Clearpath's robots": Layout(
+        "raw",
+        "/a200_0000/sensors/camera_0/color/image",
+        "/a200_0000/sensors/camera_0/depth/image",
+        "a200_0000/sensors/camera_0",
+        "camera_0_color_optical_frame",
+        "camera_0_depth_optical_frame",
+        odom="/a200_0000/platform/odom",
+    ),
+    "Husky of ROS 1": Layout(
+        "raw",
+        "/realsense/color/image_raw",
+        "/realsense/depth/image_rect_raw",
+        "realsense",
+        "camera_realsense_color_optical_frame",
+        "camera_realsense_depth_optical_frame",
+    ),
+    "OAK-D, not aligned": Layout(
+        "raw",
+        "/oak/rgb/image_raw",
+        "/oak/stereo/image_raw",
+        "oak",
+        "oak_rgb_camera_optical_frame",
+        "oak_right_camera_optical_frame",
+        color_encoding="bgr8",
+        others=(
+            ("/oak/left/image_raw", "mono8"),
+            ("/oak/right/image_raw", "mono8"),
+            ("/oak/left/image_rect", "mono8"),
+            ("/oak/right/image_rect", "mono8"),
+        ),
+    ),
+    "OAK-D of depthai_examples": Layout(
+        "aligned",
+        "/stereo_inertial_publisher/color/image",
+        "/stereo_inertial_publisher/stereo/depth",
+        "inertial_publisher",
+        "oak_rgb_camera_optical_frame",
+        color_encoding="bgr8",
+        others=(("/stereo_inertial_publisher/right/image_rect", "mono8"),),
+    ),
+    "two ZEDs": Layout(
+        "aligned",
+        "/zed_multi/zed_front/rgb/color/rect/image",
+        "/zed_multi/zed_front/depth/depth_registered",
+        "zed_multi/zed_front",
+        "zed_front_left_camera_frame_optical",
+        color_encoding="bgra8",
+        depth_encoding="32FC1",
+    ),
+    "Orbbec, registered by the camera": Layout(
+        "aligned",
+        "/camera_01/color/image_raw",
+        "/camera_01/depth/image_raw",
+        "camera_01",
+        "camera_01_color_optical_frame",
+        others=(
+            ("/camera_01/left_ir/image_raw", "mono8"),
+            ("/camera_01/right_ir/image_raw", "mono8"),
+        ),
+    ),
+    "Astra and Kinect of openni2_launch": Layout(
+        "both",
+        "/camera/rgb/image_raw",
+        "/camera/depth_registered/image_raw",
+        "camera",
+        "camera_rgb_optical_frame",
+        "camera_depth_optical_frame",
+        raw_depth="/camera/depth/image_raw",
+        others=(("/camera/ir/image", "mono16"),),
+    ),
+    "TIAGo": Layout(
+        "aligned",
+        "/xtion/rgb/image_rect_color",
+        "/xtion/depth_registered/image_raw",
+        "xtion",
+        "xtion_rgb_optical_frame",
+        others=(("/xtion/rgb/image_raw", "rgb8"),),
+    ),
+    "Kinect 2, quarter HD with one calibration": Layout(
+        "aligned",
+        "/kinect2/qhd/image_color_rect",
+        "/kinect2/qhd/image_depth_rect",
+        "kinect2/qhd",
+        "kinect2_rgb_optical_frame",
+        color_encoding="bgr8",
+        info="/kinect2/qhd/camera_info",
+    ),
+    "Kinect 2, resolution of the sensor": Layout(
+        "aligned",
+        "/kinect2/sd/image_color_rect",
+        "/kinect2/sd/image_depth_rect",
+        "kinect2/sd",
+        "kinect2_ir_optical_frame",
+        color_encoding="bgr8",
+        info="/kinect2/sd/camera_info",
+        others=(("/kinect2/sd/image_ir_rect", "mono16"),),
+    ),
+    "Azure Kinect with a namespace": Layout(
+        "both",
+        "/k4a/rgb/image_raw",
+        "/k4a/depth_to_rgb/image_raw",
+        "k4a",
+        "rgb_camera_link",
+        "depth_camera_link",
+        color_encoding="bgra8",
+        raw_depth="/k4a/depth/image_raw",
+        others=(("/k4a/ir/image_raw", "mono16"), ("/k4a/rgb_to_depth/image_raw", "bgra8")),
+    ),
+    "Spot, not registered": Layout(
+        "raw",
+        "/spot/camera/frontleft/image",
+        "/spot/depth/frontleft/image",
+        "spot/frontleft",
+        "frontleft_fisheye",
+        "frontleft",
+        rate_hz=10.0,
+        odom="/spot/odometry",
+    ),
+    "Spot of ROS 1": Layout(
+        "both",
+        "/camera/back/image",
+        "/depth_registered/back/image",
+        "back",
+        "back_fisheye",
+        "back",
+        raw_depth="/depth/back/image",
+    ),
+    "Gazebo with the topics of its world": Layout(
+        "aligned",
+        "/world/w/model/robot/link/camera_link/sensor/rgbd/image",
+        "/world/w/model/robot/link/camera_link/sensor/rgbd/depth_image",
+        "world/w/model/robot/link/camera_link",
+        "robot/camera_link/rgbd",
+        depth_encoding="32FC1",
+        missing=float("-inf"),
+        info="/world/w/model/robot/link/camera_link/sensor/rgbd/camera_info",
+    ),
+    "Isaac Sim, several cameras": Layout(
+        "aligned",
+        "/rgb_left",
+        "/depth_left",
+        "left",
+        "carter_camera_stereo_left",
+        depth_encoding="32FC1",
+        missing=float("inf"),
+        info="/camera_info_left",
+    ),
+    "Webots": Layout(
+        "aligned",
+        "/my_robot/camera/image_color",
+        "/my_robot/range_finder/image",
+        "my_robot/range_finder",
+        "camera",
+        color_encoding="bgra8",
+        depth_encoding="32FC1",
+        missing=float("inf"),
+    ),
     "Isaac Sim": Layout(
         "aligned",
         "/rgb",
@@ -347,39 +522,69 @@ def test_logs_of_each_driver_equal_the_simulated_one(simulated, tmp_path, driver
 
 
 @pytest.mark.parametrize("form", ["raw", "aligned"])
-def test_logs_of_the_foxglove_sdk_equal_the_simulated_one(simulated, tmp_path, form):
-    """The messages are protobuf, and each transform is a separate message."""
+@pytest.mark.parametrize("encoding", ["protobuf", "json", "cdr"])
+@pytest.mark.parametrize("compressed", [False, True])
+def test_logs_of_the_foxglove_sdk_equal_the_simulated_one(
+    simulated, tmp_path, form, encoding, compressed
+):
+    """Each transform is a separate message; CDR has the types of ``foxglove_msgs``."""
     path = simulated(form, 30.0)
     with LogFile(tmp_path / "log.mcap") as log:
         for message in read_messages(path):
-            write_foxglove(log, message)
+            write_foxglove(log, message, encoding, compressed)
     with open_log(tmp_path / "log.mcap") as found, open_log(path) as expected:
         assert not found.description.warnings
         same_log(found, expected)
 
 
-def write_foxglove(log: LogFile, message: Message) -> None:
+def write_foxglove(log: LogFile, message: Message, encoding: str, compressed: bool) -> None:
     """Write a message in the schemas of Foxglove, which has none for odometry."""
     body, at = message.body, message.log_ns
     if message.kind == "tf2_msgs/TFMessage":
         for item in body["transforms"]:
             ends = {"parent_frame_id": item["header"]["frame_id"]}
             ends["child_frame_id"] = item["child_frame_id"]
-            put_proto(log, message.topic, FrameTransform, ends | item["transform"], at)
+            put(log, message.topic, FrameTransform, ends | item["transform"], at, encoding)
         return
     if message.kind not in ("sensor_msgs/Image", "sensor_msgs/CameraInfo"):
         return
     stamp = body["header"]["stamp"]
     fields: dict[str, Any] = {"frame_id": body["header"]["frame_id"]}
-    fields |= {"width": body["width"], "height": body["height"]}
-    if message.kind == "sensor_msgs/Image":
-        fields |= {"encoding": body["encoding"], "step": body["step"], "data": body["data"]}
-        kind: Any = RawImage
-    else:
-        fields |= {"distortion_model": body["distortion_model"], "D": body["d"]}
+    size = {"width": body["width"], "height": body["height"]}
+    if message.kind == "sensor_msgs/CameraInfo":
+        fields |= size | {"distortion_model": body["distortion_model"], "D": body["d"]}
         fields |= {"K": body["k"], "R": body["r"], "P": body["p"]}
-        kind = CameraCalibration
-    put_proto(log, message.topic, kind, fields, stamp["sec"] * 10**9 + stamp["nanosec"])
+        kind: Any = CameraCalibration
+    elif compressed:
+        pixels = message.pixels
+        png = cv2.imencode(".png", pixels[..., ::-1] if pixels.ndim == 3 else pixels)[1]
+        fields |= {"data": png.tobytes(), "format": "png"}
+        kind = CompressedImage
+    else:
+        fields |= size | {"encoding": body["encoding"], "step": body["step"], "data": body["data"]}
+        kind = RawImage
+    at = stamp["sec"] * 10**9 + stamp["nanosec"]
+    put(log, message.topic, kind, fields, at, encoding)
+
+
+def put(
+    log: LogFile, topic: str, kind: Any, fields: dict[str, Any], at: int, encoding: str
+) -> None:
+    """Write a message of Foxglove in an encoding."""
+    if encoding != "cdr":
+        (put_proto if encoding == "protobuf" else put_json)(log, topic, kind, fields, at)
+        return
+    point, turn = (ros_type(f"geometry_msgs/msg/{name}") for name in ("Vector3", "Quaternion"))
+    make: dict[str, Callable[[Any], Any]] = {"data": lambda data: np.frombuffer(data, np.uint8)}
+    make |= {"translation": lambda t: point(**t), "rotation": lambda q: turn(**q)}
+    make |= dict.fromkeys("DKRP", lambda values: np.array(values, np.float64))
+    values = {
+        name.lower() if name in "DKRP" else name: make.get(name, lambda same: same)(value)
+        for name, value in fields.items()
+    }
+    stamp = ros_header(at, "").stamp
+    message = ros_type(kind.DESCRIPTOR.full_name.replace("foxglove.", "foxglove_msgs/msg/"))
+    log.ros(topic, message(stamp, **values), at)
 
 
 def test_the_two_front_cameras_of_a_spot_are_separate_cameras(simulated, tmp_path):
@@ -398,3 +603,60 @@ def test_the_two_front_cameras_of_a_spot_are_separate_cameras(simulated, tmp_pat
         options = LogOptions(camera=camera)
         with open_log(both, options) as found, open_log(path) as expected:
             same_log(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("driver", "color", "other", "frame", "wide"),
+    [
+        ("ZED", "rgb/color/rect/image", "stereo/color/rect/image", "", 2),
+        ("ZED", "left/color/rect/image", "right/color/rect/image", "zed_right_optical", 1),
+        ("OAK-D", "rgb/image_raw", "rgb/preview/image_raw", "", 0.5),
+        ("OAK-D", "left/image_rect_color", "right/image_rect_color", "oak_right_optical", 1),
+    ],
+)
+def test_colour_with_the_frame_and_size_of_depth_is_preferred(
+    simulated, tmp_path, driver, color, other, frame, wide
+):
+    given = LAYOUTS[driver]
+    root = given.color[: -len("rgb/image_raw" if driver == "OAK-D" else "rgb/color/rect/image")]
+    layout = given._replace(color=root + color, others=())
+
+    def add(message: Message) -> list[Message] | None:
+        if message.topic not in (layout.color, info_topic(layout.color)):
+            return None
+        (more,) = changed([message])
+        more.topic = message.topic.replace(
+            root + color.rpartition("/")[0], root + other.rpartition("/")[0]
+        )
+        header = more.body["header"]
+        header["frame_id"] = frame or header["frame_id"]
+        if message.kind == "sensor_msgs/Image":
+            more.show(cv2.resize(more.pixels, None, fx=wide, fy=1))
+        return [message, more]
+
+    path = simulated(layout.form, layout.rate_hz)
+    both = changed(published(layout, read_messages(path)), add)
+    with open_log(write_messages(tmp_path / "log.mcap", both)) as found, open_log(path) as expected:
+        assert {topic.topic for topic in found.description.topics} >= {root + color, root + other}
+        assert not found.description.warnings
+        same_log(found, expected)
+
+
+def test_the_rectified_image_is_used_with_rectified_depth(simulated, tmp_path):
+    """Its calibration has no distortion, so that of the camera must not be applied to depth."""
+    layout = LAYOUTS["Kinect 2, quarter HD with one calibration"]
+    path = simulated(layout.form, layout.rate_hz)
+
+    def distort(message: Message) -> list[Message] | None:
+        if message.kind == "sensor_msgs/CameraInfo":
+            message.body["d"] = [0.05, -0.1, 0.0, 0.0, 0.0]
+        if message.topic != layout.color:
+            return None
+        (raw,) = changed([message])
+        raw.topic = raw.topic.removesuffix("_rect")
+        return [message, raw]
+
+    messages = changed(published(layout, read_messages(path)), distort)
+    with open_log(write_messages(tmp_path / "log.mcap", messages)) as found, open_log(path) as log:
+        assert found.calibration.image[:6] == log.calibration.image[:6]
+        assert found.calibration.image.distortion == "none"

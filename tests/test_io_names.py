@@ -287,6 +287,18 @@ def test_numbers_of_splits_may_begin_with_zeros(tmp_path):
     assert [path.stem for path in log.paths] == [f"run_00000{number}" for number in range(3)]
 
 
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_listed_files_that_do_not_exist_are_missing(tmp_path, newline):
+    touch(tmp_path, "run_1.mcap", "run_2.mcap")
+    list_files(tmp_path, *(f"run_{number}.mcap" for number in range(4)))
+    path = tmp_path / "metadata.yaml"
+    path.write_bytes(path.read_text().replace("\n", newline).encode())
+    [log] = find_logs([str(tmp_path)])
+    assert missing_splits(log) == (0, 3)
+    touch(tmp_path, "run_0.mcap")
+    assert missing_splits(log) == (3,)  # run_0 is only not part of this log
+
+
 def test_neighbouring_splits_continue_where_the_log_ends(tmp_path):
     for number in range(6):
         scene = moved(make_scene(2), (number + 100 * (number > 3)) * 10**9)

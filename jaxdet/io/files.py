@@ -13,7 +13,7 @@ from jaxdet.errors import InputError, printable
 from jaxdet.io.folders.layouts import LAYOUTS, image_folders
 from jaxdet.io.folders.recording import APPLE_DOUBLE
 from jaxdet.io.formats import PACKED, RECORDINGS, bare_name
-from jaxdet.io.splits import Recording, recording_around, recordings, signature
+from jaxdet.io.splits import Recording, listed_files, recording_around, recordings, signature
 
 SUFFIXES = (*RECORDINGS, *PACKED)
 """Suffixes of the files that are read, by priority. The name of a compressed file has two suffixes,
@@ -36,6 +36,7 @@ _OTHERS = {
     ".mkv": "if it is from an Azure Kinect, export it with Open3D's azure_kinect_mkv_reader.py",
     ".oni": f"open it with OpenNI 2, and {_AS_IMAGES}",
     ".sens": "export its images with ScanNet's SensReader",
+    ".depth.pgm": "convert its depth to 16-bit PNG (frame-000000.depth.png)",
     ".r3d": "in Record3D, export it as EXR + JPG sequence, and convert its depth to PNG as jaxdet "
     "help logs shows",
 }
@@ -43,8 +44,7 @@ _OTHERS = {
 _ARCHIVES = dict.fromkeys((".tar", ".tgz", ".zip", ".7z", ".rar"), "unpack it")
 _ARCHIVES |= dict.fromkeys((".xz", ".lz4"), "decompress it")
 """Files that may contain a recording, with remedies; next to a recording they are ignored."""
-_PNG = "convert it to 16-bit PNG in millimetres, as jaxdet help logs shows (the Python package "
-_PNG += "OpenEXR reads it)"
+_PNG = "export it as 16-bit PNG in millimetres; jaxdet help logs shows how to convert OpenEXR"
 EXPORTED = ".jaxdet.mcap"
 """End of the names of files exported for Foxglove and ROS 2. They are recognised by name, since
 their headers are those of any MCAP file."""
@@ -187,12 +187,20 @@ def _place(path: Path, folders: dict[Path, Path]) -> Path:
 
 
 def missing_splits(log: LogFiles) -> tuple[int, ...]:
-    """Return the first missing numbers between the first and the last split of a log."""
+    """Return the first missing numbers of a log's splits.
+
+    These are the numbers between its first and its last split, and those of files that its
+    ``metadata.yaml`` lists but that do not exist.
+    """
     numbers = {_split(path)[1] for path in log.paths}
-    if len(log.paths) < 2 or -1 in numbers:
+    if -1 in numbers:
         return ()
     gaps = (range(one + 1, other) for one, other in pairwise(sorted(numbers)))
-    return tuple(islice(chain.from_iterable(gaps), _MAX_MISSING))
+    folder = log.paths[0].parent
+    listed = {folder / name for name in listed_files(folder)}
+    gone = () if listed.isdisjoint(log.paths) else (one for one in listed if not one.exists())
+    between = islice(chain.from_iterable(gaps), _MAX_MISSING)
+    return tuple(sorted({*between, *(_split(path)[1] for path in gone)}))
 
 
 def siblings(log: LogFiles) -> tuple[Path, ...]:
@@ -261,10 +269,11 @@ def _files(text: str) -> tuple[list[Path], str]:
     folders = [item for item in images if item not in copies]
     if not found and (folders or shut):
         return [*folders, *shut], ""
-    exr = [file for file in seen if file.suffix.lower() == ".exr"]
-    if not found and exr:
-        problem = "depth in OpenEXR files (for example from Record3D) is not supported"
-        raise InputError(problem, path=str(exr[0].parent), remedy=_PNG)
+    depth = [file for file in seen if file.parent.name.lower() == "depth" and file.suffix]
+    depth = [file for file in depth if file.suffix.lower() != ".png"]
+    if not found and depth:
+        problem = f"depth in {depth[0].suffix} files is not supported"
+        raise InputError(problem, path=str(depth[0].parent), remedy=_PNG)
     if not found and datasets:
         # Their depth is video of 12 bits, TIFF or Parquet, depending on the version.
         problem = "LeRobot datasets are not supported, as they contain no camera calibration"

@@ -17,13 +17,10 @@ from jaxdet.io.container import FileState, MessageFile, MessageRow, Source, unre
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.definition import schema_text
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
-from jaxdet.io.folders.basic import RATE_HZ
 from jaxdet.io.folders.layouts import read_recording
-from jaxdet.io.folders.recording import Pose, Recording
+from jaxdet.io.folders.recording import CONFIDENCE, DEPTH, Pose, Recording
 from jaxdet.io.writer_cdr import camera_info, encode_cdr, header, xyz
 
-_CONFIDENCE = "confidence"
-"""Subfolder with a confidence PNG per depth image, with the same name."""
 _TOPICS = {
     "/camera/color/image": "sensor_msgs/CompressedImage",
     "/camera/depth_registered/image": "sensor_msgs/CompressedImage",
@@ -83,8 +80,7 @@ class ImageFolder(MessageFile):
             self._messages = _encode(path, recording)
         except OSError as error:
             raise unreadable(error, path) from error
-        if not recording.has_stamps:
-            self.note = f"it has no timestamps; {RATE_HZ} frames per second are assumed"
+        self.note = recording.note
         self.size = sum(item.size for item in self._messages)
         self.infos = {
             number: ChannelInfo(topic, "cdr", name, "ros2msg", schema_text(name).encode())
@@ -161,7 +157,8 @@ class ImageFolder(MessageFile):
 def _state(folder: Path) -> FileState:
     """Return the state of a folder, with the latest change of the folder or its subfolders."""
     about = os.stat(folder)
-    parts = [os.stat(part) for part in sorted(folder.iterdir()) if part.is_dir()]
+    with os.scandir(folder) as entries:
+        parts = [os.stat(part) for part in entries if part.is_dir()]
     latest = max(item.st_mtime_ns for item in (about, *parts))
     return FileState(about.st_dev, about.st_ino, about.st_size, latest)
 
@@ -173,9 +170,10 @@ def _encode(folder: Path, recording: Recording) -> list[_Message]:
         OSError: A file can't be read.
     """
     found = [_image(_COLOR, "png", image.stamp_ns, image.path) for image in recording.color]
-    has_confidence = (folder / _CONFIDENCE).is_dir()
+    confidences = CONFIDENCE.by_frame(folder)
     for stamp_ns, path in recording.depth:
-        masks = [folder / _CONFIDENCE / path.name] if has_confidence else []
+        missing = folder / "confidence" / path.name
+        masks = [confidences.get(DEPTH.frame_key(path), missing)] if confidences else []
         form = "16UC1; png" + (with_confidence(_size(path)) if masks else "")
         form += ROTATED if recording.is_rotated else ""
         found.append(_image(_DEPTH, form, stamp_ns, path, *masks))

@@ -62,16 +62,17 @@ def parse(kind: Kind, message: Any, schema_name: str) -> Message:
 
 
 def _head(message: Any) -> tuple[int, str]:
-    """Return timestamp [ns] and TF frame of a ROS, Foxglove protobuf or Foxglove JSON message."""
-    if hasattr(message, "header"):
-        stamp = message.header.stamp
-        return nanoseconds(stamp.sec, stamp.nanosec), message.header.frame_id.lstrip("/")
-    stamp = message.timestamp
+    """Return timestamp [ns] and TF frame of a message of ROS or Foxglove.
+
+    The fields of the timestamp have other names in ROS, protobuf and JSON.
+    """
+    head = getattr(message, "header", message)
+    stamp = message.timestamp if head is message else head.stamp
     if hasattr(stamp, "seconds"):
         ns = nanoseconds(stamp.seconds, stamp.nanos)
     else:
-        ns = nanoseconds(stamp.sec, stamp.nsec)
-    return ns, getattr(message, "frame_id", "").lstrip("/")
+        ns = nanoseconds(stamp.sec, stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec)
+    return ns, getattr(head, "frame_id", "").lstrip("/")
 
 
 def _bytes(data: Any) -> bytes | memoryview:

@@ -43,6 +43,7 @@ _KINDS = {
     "geometry_msgs/PoseStamped": Kind.POSE,
     "foxglove.PoseInFrame": Kind.POSE,
     "realsense2_camera_msgs/Extrinsics": Kind.EXTRINSICS,
+    "realsense2_camera/Extrinsics": Kind.EXTRINSICS,
     "geometry_msgs/Transform": Kind.EXTRINSICS,
     "std_msgs/Float32": Kind.NUMBER,
 }

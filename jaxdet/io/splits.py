@@ -201,6 +201,6 @@ def listed_files(folder: Path) -> frozenset[str]:
 
 def listed_in(metadata: bytes) -> frozenset[str]:
     """Return the names of the files listed in the content of a ``metadata.yaml``."""
-    match = _LISTED.search(metadata.decode(errors="replace"))
+    match = _LISTED.search(metadata.decode(errors="replace").replace("\r\n", "\n"))
     names = _ITEM.findall(match[1]) if match else []
     return frozenset(PurePosixPath(name.strip()).name for _, name in names)

@@ -121,7 +121,7 @@ def choose_topics(contents: LogContents, options: LogOptions) -> Choices:
             ambiguous; or a topic set in the options is unusable.
     """
     depths = _candidates(contents, options.depth, True)
-    prefer_rect = any("depth_registered" in item.topic for item in depths)
+    prefer_rect = any(_is_rectified(item.topic) for item in _best(depths))
     without = options.color == NO_COLOR
     given = None if without else options.color
     colors = [] if without else _candidates(contents, given, False, prefer_rect)
@@ -213,7 +213,7 @@ def _choose(
         raise TopicError(problem, path=contents.path, remedy=remedy)
     depth = depth_best[0]
     if len(color_best) > 1:
-        color_best = _nearest(color_best, depth.topic)
+        color_best = _same_view(contents, _nearest(color_best, depth.topic), depth.topic)
     why = "", ""
     if contents.streams[depth.topic].kind is Kind.RGBD and not options.color:
         color_best = [Candidate(depth.topic, depth.rank, "in the same message as depth")]
@@ -296,6 +296,10 @@ def _is_named(topic: str) -> bool:
         return False
     parts = map(_words, topic.split("/"))
     return any("depth" in words and not words & _DEVICES for words in parts)
+
+
+def _is_rectified(depth_topic: str) -> bool:
+    return "rect" in _words(depth_topic) or "depth_registered" in depth_topic
 
 
 def _candidates(
@@ -428,6 +432,20 @@ def _best(candidates: Sequence[Candidate]) -> list[Candidate]:
 def _nearest(candidates: Sequence[Candidate], topic: str) -> list[Candidate]:
     best = max(affinity(item.topic, topic) for item in candidates)
     return [item for item in candidates if affinity(item.topic, topic) == best]
+
+
+def _same_view(
+    contents: LogContents, colors: Sequence[Candidate], depth_topic: str
+) -> Sequence[Candidate]:
+    """Return the colour topics with the TF frame and image size of depth; if there are none, all.
+
+    A ZED, for instance, publishes both eyes next to each other, and an OAK-D a small preview.
+    """
+    depth = contents.streams[depth_topic]
+    views = {item: contents.streams[item.topic] for item in colors}
+    view = depth.frame_id(True), depth.size(True)
+    same = [item for item, one in views.items() if (one.frame_id(False), one.size(False)) == view]
+    return same if same and view[0] else colors
 
 
 def _missing(contents: LogContents, unreadable: Sequence[TopicError]) -> TopicError:

@@ -3,11 +3,12 @@
 A folder has a subfolder of colour images (``rgb color colour image``: PNG, JPEG) and one of depth
 images (``depth``: 16-bit PNG, aligned to colour). Optional files:
 
-- ``rgb.txt`` and ``depth.txt`` list timestamps [s] and names. Without them, names with a decimal
-  point are timestamps, ``NUMBER-TIME.png`` has microseconds (Redwood), and the last number in other
-  names is a frame number, with :data:`RATE_HZ` frames per second.
+- ``rgb.txt`` and ``depth.txt``, named after the subfolders, list timestamps [s] and names. Without
+  them, names with a decimal point are timestamps, ``NUMBER-TIME.png`` has microseconds (Redwood),
+  and the last number in other names that differs between all of them is a frame number, with
+  :data:`RATE_HZ` frames per second.
 - ``groundtruth.txt`` has the camera's poses (timestamp, tx ty tz, qx qy qz qw). A matrix per frame
-  can be in ``pose/NAME.txt``, or in ``NAME.pose.txt`` next to the depth image.
+  can be in ``pose/NAME.txt``.
 - A JSON file has the camera matrix: ``intrinsic_matrix`` (nine numbers, column-major), ``width``,
   ``height`` and optionally ``depth_scale`` (depth units per metre).
 
@@ -17,22 +18,26 @@ Sources: "File Formats" of the TUM benchmark; Open3D's ``PinholeCameraIntrinsic`
 
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxdet.errors import InputError
+from jaxdet.errors import InputError, printable
 from jaxdet.io.folders.recording import (
     COLOR,
     DEPTH,
+    POSES,
     SECOND,
     Cameras,
     Image,
     ImageFiles,
     Pose,
     Recording,
+    entry,
     nanoseconds,
     read_matrix,
     read_table,
@@ -40,19 +45,21 @@ from jaxdet.io.folders.recording import (
 from jaxdet.types import Intrinsics, is_rigid
 
 RATE_HZ = 30
-LISTED_COLOR, LISTED_DEPTH = "rgb.txt", "depth.txt"
+LISTED_DEPTH = "depth.txt"
 _FIRST_NS = SECOND
 """Timestamp of frame 0 if frames only have numbers, as a timestamp of 0 counts as missing [ns]."""
 _MAX_JSON_BYTES = 1 << 20
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 _WITH_TIME = re.compile(r"\d{7}-(\d{12})")
 """Frame number and time [us]."""
-_NUMBER = re.compile(r"(\d+)\D*$")
+_MAX_DIGITS = 9
+"""Maximum number of digits of a frame number."""
 
 
 def read_cameras(folder: Path, *_unused: Sequence[Image]) -> Cameras:
     """Read camera and depth unit from the JSON file with a camera matrix, if there is one."""
-    found = [(path, about) for path in sorted(folder.glob("*.json")) if (about := _camera(path))]
+    files = [path for path in sorted(folder.iterdir()) if path.suffix.lower() == ".json"]
+    found = [(path, about) for path in files if (about := _camera(path))]
     if not found:
         return Cameras()
     if len(found) > 1:
@@ -81,41 +88,69 @@ def read(
     color: ImageFiles = COLOR,
     depth: ImageFiles = DEPTH,
     cameras: Callable[[Path, Sequence[Image], Sequence[Image]], Cameras] = read_cameras,
+    poses: ImageFiles = POSES,
 ) -> Recording:
     """Read a folder; ``cameras`` reads its calibration from the folder and its images.
 
     Raises:
         InputError: A file, or the name of an image, is not as expected.
     """
-    colors, has_color_stamps = _images(folder, color, LISTED_COLOR)
-    depths, has_depth_stamps = _images(folder, depth, LISTED_DEPTH)
-    poses = _listed_poses(folder) + _poses_of_frames(folder, depths, depth)
-    has_stamps = has_color_stamps and has_depth_stamps
-    return Recording(colors, depths, cameras(folder, colors, depths), poses, has_stamps)
+    colors, has_color_stamps = _images(folder, color)
+    depths, has_depth_stamps = _images(folder, depth)
+    found = _listed_poses(folder) + _poses_of_frames(depths, depth, poses.by_frame(folder))
+    note = ""
+    if not (has_color_stamps and has_depth_stamps):
+        name = folder.absolute().name
+        note = f"{name} has no timestamps; {RATE_HZ} frames per second are assumed"
+    return Recording(colors, depths, cameras(folder, colors, depths), found, note)
 
 
-def _images(folder: Path, files: ImageFiles, listed: str) -> tuple[list[Image], bool]:
+def _images(folder: Path, files: ImageFiles) -> tuple[list[Image], bool]:
     """Return images, and whether their timestamps were recorded."""
-    if (path := folder / listed).exists():
+    lists = (entry(folder, f"{name}.txt") for name in files.folders)
+    path = next((path for path in lists if path.is_file()), None)
+    if path and files.paths(folder):
         rows = read_table(path, 2)
-        return [Image(nanoseconds(stamp, path), folder / name) for stamp, name in rows], True
+        listed = [Image(nanoseconds(stamp, path), folder / name) for stamp, name in rows]
+        if not any(image.path.is_file() for image in listed):
+            example = f", for example {printable(rows[0][1])!r}" if rows else ""
+            problem = f"none of the {len(rows)} images in this list exists{example}"
+            raise InputError(problem, path=str(path), remedy="correct or remove the list")
+        return listed, True
     images = {image: files.frame_name(image) for image in files.paths(folder)}
     if all("." in name for name in images.values()):
         return [Image(nanoseconds(name, path), path) for path, name in images.items()], True
-    stamps = [_stamp_in_name(name, path) for path, name in images.items()]
-    has_times = all(map(_WITH_TIME.fullmatch, images.values()))
-    return list(map(Image, stamps, images)), has_times
+    timed = [match for name in images.values() if (match := _WITH_TIME.fullmatch(name))]
+    if has_times := len(timed) == len(images):
+        after_ns = [int(match[1]) * 1000 for match in timed]
+    else:
+        after_ns = [number * SECOND // RATE_HZ for number in _frame_numbers(images)]
+    return [
+        Image(_FIRST_NS + ns, path) for ns, path in zip(after_ns, images, strict=True)
+    ], has_times
 
 
-def _stamp_in_name(name: str, path: Path) -> int:
-    """Return the timestamp for the time or number in a frame's name [ns]."""
-    if timed := _WITH_TIME.fullmatch(name):
-        return _FIRST_NS + int(timed[1]) * 1000
-    match = _NUMBER.search(name)
-    if match is None or len(match[1]) > 9:
+def _frame_numbers(names: Mapping[Path, str]) -> list[int]:
+    """Return the frame numbers in the names of images: the last number that is never the same.
+
+    Raises:
+        InputError: A name has no number, or two have the same number.
+    """
+    found = {path: re.findall(r"\d+", name)[::-1] for path, name in names.items()}
+    columns = zip(*found.values(), strict=False)
+    columns = [column for column in columns if max(map(len, column)) <= _MAX_DIGITS]
+    if not columns:
+        path = min(found, key=lambda path: len(found[path]))
         problem = "the name has neither a timestamp in seconds nor a frame number"
         raise InputError(problem, path=str(path), remedy="number the images, or write rgb.txt")
-    return _FIRST_NS + int(match[1]) * SECOND // RATE_HZ
+    choices = [[*map(int, column)] for column in columns]
+    if distinct := [numbers for numbers in choices if len({*numbers}) == len(numbers)]:
+        return distinct[0]
+    [(common, _)] = Counter(choices[0]).most_common(1)
+    same = (path for path, number in zip(found, choices[0], strict=True) if number == common)
+    one, two = islice(same, 2)
+    problem = f"{printable(one.name)} and {printable(two.name)} have the same frame number"
+    raise InputError(problem, path=str(one.parent), remedy="remove one, or number the images")
 
 
 def _camera(path: Path) -> dict[str, Any] | None:
@@ -131,7 +166,7 @@ def _camera(path: Path) -> dict[str, Any] | None:
 
 def _listed_poses(folder: Path) -> list[Pose]:
     """Read the poses in ``groundtruth.txt``."""
-    path = folder / "groundtruth.txt"
+    path = entry(folder, "groundtruth.txt")
     if not path.exists():
         return []
     found = []
@@ -146,13 +181,13 @@ def _listed_poses(folder: Path) -> list[Pose]:
     return found
 
 
-def _poses_of_frames(folder: Path, images: Sequence[Image], files: ImageFiles) -> list[Pose]:
-    """Read the poses from one file per depth image; invalid poses are left out."""
+def _poses_of_frames(
+    images: Sequence[Image], files: ImageFiles, poses: Mapping[str, Path]
+) -> list[Pose]:
+    """Read the poses of depth images from the files ``poses``; invalid poses are left out."""
     found = []
     for stamp_ns, image in images:
-        name = files.frame_name(image)
-        near = folder / "pose" / f"{name}.txt", image.with_name(f"{name}.pose.txt")
-        path = next((path for path in near if path.is_file()), None)
+        path = poses.get(files.frame_key(image))
         if path is not None and is_rigid(T := read_matrix(path, 4)):
             found.append(Pose.of_matrix(stamp_ns, T))
     return found

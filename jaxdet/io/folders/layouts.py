@@ -3,10 +3,11 @@
 A new layout is a function that reads a folder with this layout as a
 :class:`~jaxdet.io.folders.recording.Recording`, and an item of :data:`LAYOUTS`.
 
-Sources: the web page of 7-Scenes; ScanNet's ``SensReader``; SUN3D's ``SUN3Dsfm``.
+Sources: the web pages of 7-Scenes and OpenLORIS; ScanNet's ``SensReader``; SUN3D's ``SUN3Dsfm``.
 """
 
 from collections.abc import Callable, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from jaxdet.io.folders.recording import (
     Image,
     ImageFiles,
     Recording,
+    entry,
     image_size,
     read_matrix,
 )
@@ -24,6 +26,8 @@ from jaxdet.types import Intrinsics
 
 _FLAT_COLOR = ImageFiles((), (".color.png", ".color.jpg", ".color.jpeg"))
 _FLAT_DEPTH = ImageFiles((), (".depth.png",))
+_FLAT_POSES = ImageFiles((), (".pose.txt",))
+_ALIGNED_DEPTH = ImageFiles(("aligned_depth",), DEPTH.endings)
 _SUN3D_MATRIX = "intrinsics.txt"
 
 
@@ -44,37 +48,50 @@ def _read_7_scenes(folder: Path) -> Recording | None:
     """Read a folder that directly contains images ``frame-000000.color.png`` and ``.depth.png``."""
     if not _FLAT_DEPTH.paths(folder):
         return None
-    return basic.read(folder, _FLAT_COLOR, _FLAT_DEPTH)
+    return basic.read(folder, _FLAT_COLOR, _FLAT_DEPTH, poses=_FLAT_POSES)
 
 
 def _read_scannet(folder: Path) -> Recording | None:
-    """Read a folder with the camera matrices (4, 4) of both images in ``intrinsic``.
-
-    ScanNet's small subset (``scannet_frames_25k``) has them in ``intrinsics_color.txt`` and
-    ``intrinsics_depth.txt``.
-    """
-    if not ((folder / "intrinsic").is_dir() or (folder / "intrinsics_color.txt").is_file()):
+    """Read a folder with the camera matrices (4, 4) of both images, see :func:`_scannet_matrix`."""
+    if not (_scannet_matrix(folder, "color") or _scannet_matrix(folder, "depth")):
         return None
     return basic.read(folder, cameras=_scannet_cameras)
 
 
+def _scannet_matrix(folder: Path, kind: str) -> Path | None:
+    """Return the file with a camera matrix.
+
+    It is ``intrinsic/intrinsic_color.txt``, in ScanNet's small subset (``scannet_frames_25k``)
+    ``intrinsics_color.txt``.
+    """
+    found = (folder.glob(f"{part}intrinsic*_{kind}.txt") for part in ("intrinsic/", ""))
+    return next(chain.from_iterable(found), None)
+
+
 def _scannet_cameras(folder: Path, color: Sequence[Image], depth: Sequence[Image]) -> Cameras:
     def camera(kind: str, images: Sequence[Image]) -> Intrinsics | None:
-        path = folder / "intrinsic" / f"intrinsic_{kind}.txt"
-        return _camera(path if path.is_file() else folder / f"intrinsics_{kind}.txt", 4, images)
+        path = _scannet_matrix(folder, kind)
+        return _camera(path, 4, images) if path else None
 
     return Cameras(camera("color", color), camera("depth", depth))
 
 
+def _read_openloris(folder: Path) -> Recording | None:
+    """Read a folder with depth aligned to colour in ``aligned_depth``, next to raw depth."""
+    if not _ALIGNED_DEPTH.paths(folder):
+        return None
+    return basic.read(folder, depth=_ALIGNED_DEPTH)
+
+
 def _read_sun3d(folder: Path) -> Recording | None:
     """Read a folder with the camera matrix (3, 3) in ``intrinsics.txt``; depth bits are rotated."""
-    if not (folder / _SUN3D_MATRIX).is_file():
+    if not entry(folder, _SUN3D_MATRIX).is_file():
         return None
     return basic.read(folder, cameras=_sun3d_cameras)._replace(is_rotated=True)
 
 
 def _sun3d_cameras(folder: Path, color: Sequence[Image], depth: Sequence[Image]) -> Cameras:
-    return Cameras(_camera(folder / _SUN3D_MATRIX, 3, color or depth))
+    return Cameras(_camera(entry(folder, _SUN3D_MATRIX), 3, color or depth))
 
 
 def _camera(path: Path, rows: int, images: Sequence[Image]) -> Intrinsics | None:
@@ -91,6 +108,7 @@ LAYOUTS = (
     Layout("7-Scenes", _read_7_scenes, _FLAT_DEPTH),
     Layout("SUN3D, SUN RGB-D", _read_sun3d),
     Layout("ScanNet", _read_scannet),
+    Layout("OpenLORIS", _read_openloris, depth=_ALIGNED_DEPTH),
     Layout("TUM, Open3D, Redwood", basic.read),
 )
 """All layouts; the first one that can read a folder is used."""

@@ -15,13 +15,13 @@ Scanner's documentation and its ``OdometryEncoder``; Record3D's web page on its 
 
 import csv
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from jaxdet.errors import InputError
+from jaxdet.errors import InputError, printable
 from jaxdet.io.folders.recording import (
     COLOR,
     DEPTH,
@@ -31,6 +31,7 @@ from jaxdet.io.folders.recording import (
     ImageFiles,
     Pose,
     Recording,
+    entry,
     image_size,
     read_text,
 )
@@ -53,15 +54,16 @@ def read_stray_scanner(folder: Path) -> Recording | None:
     """Read a folder of Stray Scanner.
 
     Raises:
-        InputError: A file is damaged, or an image has no timestamp.
+        InputError: A file is damaged, or no depth image has a timestamp.
     """
-    if not ((folder / ODOMETRY).is_file() and (folder / MATRIX).is_file()):
+    odometry, matrix = entry(folder, ODOMETRY), entry(folder, MATRIX)
+    if not (odometry.is_file() and matrix.is_file()):
         return None
     with _damage_as_error(folder):
-        lines = read_text(folder / ODOMETRY).splitlines()[1:]
-        rows = list(csv.reader(lines, skipinitialspace=True))
-        values = np.array([row[:9] for row in rows if row], np.float64).reshape(-1, 9)
-        K = np.array([*csv.reader(read_text(folder / MATRIX).splitlines())], np.float64)
+        lines = read_text(odometry).splitlines()[1:]
+        rows = csv.reader(lines, skipinitialspace=True)
+        values = np.array([row[:9] for row in rows if len(row) >= 9], np.float64).reshape(-1, 9)
+        K = np.array([*csv.reader(read_text(matrix).splitlines())], np.float64)
         poses = motion_matrix(values[:, 2:5], values[:, 5:9])
         numbers = values[:, 1].astype(np.int64).tolist()
         return _recording(folder, numbers, values[:, 0], poses, K.reshape(3, 3), _VIDEO_SIZE)
@@ -71,29 +73,33 @@ def read_record3d(folder: Path) -> Recording | None:
     """Read a folder that Record3D exported.
 
     Raises:
-        InputError: A file is damaged, or an image has no timestamp.
+        InputError: A file is damaged, or no depth image has a timestamp.
     """
-    if not (folder / METADATA).is_file():
+    metadata = entry(folder, METADATA)
+    if not metadata.is_file():
         return None
     with _damage_as_error(folder):
-        about = json.loads(read_text(folder / METADATA))
+        about = json.loads(read_text(metadata))
         if not isinstance(about, dict) or not {"K", "w", "h"} <= about.keys():
             return None
         values = np.array(about.get("poses", []), np.float64).reshape(-1, 7)
         times = about.get("frameTimestamps")
         if times is None:
-            times = np.arange(len(values)) / float(about["fps"])
+            count = max(len(values), *(len(files.paths(folder)) for files in (COLOR, DEPTH)))
+            times = [number / float(about["fps"]) for number in range(count)]
         poses = motion_matrix(values[:, 4:], values[:, :4]) @ _ARKIT_OPTICAL
         K = np.array(about["K"], np.float64).reshape(3, 3).T
         size = int(about["w"]), int(about["h"])
-        return _recording(folder, range(len(values)), np.array(times), poses, K, size)
+        times_s = np.array(times, np.float64).reshape(len(times))
+        return _recording(folder, range(len(times)), times_s, poses, K, size)
 
 
 @contextmanager
 def _damage_as_error(folder: Path) -> Iterator[None]:
-    """Convert the errors of damaged metadata to ``InputError``."""
+    """Convert the errors of damaged metadata to ``InputError``; invalid poses become NaN."""
     try:
-        yield
+        with np.errstate(all="ignore"):
+            yield
     except (ArithmeticError, csv.Error, KeyError, TypeError, ValueError, RecursionError) as error:
         problem = f"the recording's data can't be read ({type(error).__name__}: {error})"
         raise InputError(problem, path=str(folder), remedy="export it again") from error
@@ -113,7 +119,7 @@ def _recording(
         folder: Folder of the recording.
         numbers: Frame numbers in the file names, ``N`` items.
         times_s: Timestamps ``(N,)`` float64 [s].
-        poses: Poses of the optical frame in ARKit's world, ``(N, 4, 4)`` float64; NaN if unknown.
+        poses: Poses of the optical frame in ARKit's world, ``(M, 4, 4)`` float64; NaN if unknown.
         K: Camera matrix ``(3, 3)`` float64 for images of ``size``.
         size: Image width and height [pixel].
     """
@@ -124,23 +130,34 @@ def _recording(
     # A timestamp of zero would count as missing.
     stamps = np.round(times_s * 1e9).astype(np.int64) + (SECOND if not times_s.all() else 0)
     stamp_of = dict(zip(numbers, stamps.tolist(), strict=True))
-    color, depth = (_images(folder, files, stamp_of) for files in (COLOR, DEPTH))
+    (color, _), (depth, lost) = (_images(files, folder, stamp_of) for files in (COLOR, DEPTH))
+    if not depth:
+        raise ValueError("no depth image has a timestamp")
     cameras = Cameras(_camera(K, size, color), _camera(K, size, depth))
-    world = zip(stamps.tolist(), _Z_UP @ poses, strict=True)
+    world = zip(stamps.tolist(), _Z_UP @ poses, strict=False)
     posed = [Pose.of_matrix(stamp_ns, T) for stamp_ns, T in world if np.isfinite(T).all()]
-    return Recording(color, depth, cameras, posed)
+    note = ""
+    if lost:
+        note = (
+            f"{folder.absolute().name}: {len(lost)} depth images without a timestamp are left out"
+        )
+        note += f", for example {lost[0]}"
+    return Recording(color, depth, cameras, posed, note)
 
 
-def _images(folder: Path, files: ImageFiles, stamp_of: dict[int, int]) -> list[Image]:
-    found = []
+def _images(
+    files: ImageFiles, folder: Path, stamp_of: Mapping[int, int]
+) -> tuple[list[Image], list[str]]:
+    """Return the images with a timestamp, and the names of the others."""
+    found, lost = [], []
     for path in files.paths(folder):
         name = files.frame_name(path)
         stamp_ns = stamp_of.get(int(name[-9:])) if name.isdecimal() else None
         if stamp_ns is None:
-            problem = "the recording has no timestamp of this frame"
-            raise InputError(problem, path=str(path), remedy="remove the image")
-        found.append(Image(stamp_ns, path))
-    return found
+            lost.append(printable(path.name))
+        else:
+            found.append(Image(stamp_ns, path))
+    return found, lost
 
 
 def _camera(K: np.ndarray, size: tuple[int, int], images: Sequence[Image]) -> Intrinsics | None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,10 +23,10 @@ APPLE_DOUBLE = "._"
 
 
 class ImageFiles(NamedTuple):
-    """Rule for the names of files with colour or depth images; case is ignored."""
+    """Rule for the names of files with one kind of data per frame; case is ignored."""
 
     folders: tuple[str, ...]
-    """Possible names of the subfolder with the images; empty if they are in the folder itself."""
+    """Possible names of the subfolder with the files; empty if they are in the folder itself."""
     endings: tuple[str, ...]
     """Ends of the file names. The first one that matches is not part of the frame's name."""
 
@@ -38,20 +39,22 @@ class ImageFiles(NamedTuple):
         return file.parent.parent if file.parent.name.lower() in self.folders else None
 
     def paths(self, folder: Path) -> list[Path]:
-        """Return the images of a recording in order of name.
+        """Return the files of a recording in order of name.
 
         Raises:
-            InputError: Several subfolders have images.
+            InputError: Several subfolders have files.
         """
         parts = [folder]
         if self.folders:
-            parts = sorted(part for part in folder.iterdir() if part.name.lower() in self.folders)
+            named = (part for part in folder.iterdir() if part.name.lower() in self.folders)
+            parts = sorted(part for part in named if part.is_dir())
         if len(parts) > 1:
             problem = f"several folders of images: {', '.join(part.name for part in parts)}"
             raise InputError(problem, path=str(folder), remedy="keep one")
         files = (file for part in parts for file in part.iterdir())
+        files = (file for file in files if file.name.lower().endswith(self.endings))
         files = (file for file in files if not file.name.startswith(APPLE_DOUBLE))
-        return sorted(file for file in files if file.name.lower().endswith(self.endings))
+        return sorted(files, key=lambda file: file.name)
 
     def frame_name(self, image: Path) -> str:
         """Return the name of an image's frame, without the ending."""
@@ -59,12 +62,26 @@ class ImageFiles(NamedTuple):
         end = next((end for end in self.endings if name.endswith(end)), image.suffix)
         return image.name[: len(name) - len(end)]
 
+    def frame_key(self, image: Path) -> str:
+        """Return the name of an image's frame without leading zeros, which not all files have."""
+        return self.frame_name(image).lower().lstrip("0")
+
+    def by_frame(self, folder: Path) -> dict[str, Path]:
+        """Return the files of a recording by :meth:`frame_key`.
+
+        Raises:
+            InputError: Several subfolders have files.
+        """
+        return {self.frame_key(path): path for path in self.paths(folder)}
+
 
 COLOR = ImageFiles(
     ("rgb", "color", "colour", "image"),
     (".color.png", ".color.jpg", ".color.jpeg", ".png", ".jpg", ".jpeg"),
 )
 DEPTH = ImageFiles(("depth",), (".depth.png", ".png"))
+CONFIDENCE = ImageFiles(("confidence",), (".png",))
+POSES = ImageFiles(("pose",), (".pose.txt", ".txt"))
 
 
 class Image(NamedTuple):
@@ -107,8 +124,8 @@ class Recording(NamedTuple):
     depth: Sequence[Image]
     cameras: Cameras
     poses: Sequence[Pose]
-    has_stamps: bool = True
-    """Whether the timestamps were recorded; otherwise they are frame numbers at a fixed rate."""
+    note: str = ""
+    """Warning about missing timestamps; empty if there is none."""
     is_rotated: bool = False
     """Whether the bits of depth are rotated left by three."""
 
@@ -128,15 +145,20 @@ def image_size(images: Sequence[Image]) -> tuple[int, int] | None:
         raise InputError(error.problem, path=str(path), remedy="remove it") from error
 
 
+def entry(folder: Path, name: str) -> Path:
+    """Return the path in a folder with a name in lower case, ignoring case; it may not exist."""
+    return next((path for path in folder.iterdir() if path.name.lower() == name), folder / name)
+
+
 def read_text(path: Path) -> str:
-    """Read a text file; invalid bytes are replaced.
+    """Read a text file, with or without a byte order mark; invalid bytes are replaced.
 
     Raises:
         InputError: The file has more than 64 MiB.
     """
     if path.stat().st_size > _MAX_TEXT_BYTES:
         raise InputError("the file is too large", path=str(path), remedy="split the recording")
-    return path.read_text("utf-8", "replace")
+    return path.read_text("utf-8-sig", "replace")
 
 
 def read_table(path: Path, columns: int) -> list[list[str]]:
@@ -145,8 +167,7 @@ def read_table(path: Path, columns: int) -> list[list[str]]:
     Raises:
         InputError: A line has fewer columns.
     """
-    lines = read_text(path).replace(",", " ").splitlines()
-    rows = [words for line in lines if (words := line.partition("#")[0].split())]
+    rows = _words(path)
     for words in rows:
         if len(words) < columns:
             problem = f"expected lines of {columns} columns, got {len(words)}"
@@ -155,16 +176,22 @@ def read_table(path: Path, columns: int) -> list[list[str]]:
 
 
 def read_matrix(path: Path, rows: int) -> np.ndarray:
-    """Read a square matrix ``(rows, rows)`` float64.
+    """Read a square matrix ``(rows, rows)`` float64, whose rows may be on one line.
 
     Raises:
         InputError: The file does not contain such a matrix.
     """
     try:
-        return np.array(read_table(path, rows), np.float64).reshape(rows, rows)
+        return np.array([*chain.from_iterable(_words(path))], np.float64).reshape(rows, rows)
     except ValueError as error:
         problem = f"expected {rows} rows of {rows} numbers"
         raise InputError(problem, path=str(path), remedy="correct it") from error
+
+
+def _words(path: Path) -> list[list[str]]:
+    """Return the words of each line that is not empty, without comments."""
+    lines = read_text(path).replace(",", " ").splitlines()
+    return [words for line in lines if (words := line.partition("#")[0].split())]
 
 
 def nanoseconds(text: str, path: Path) -> int:
