@@ -100,8 +100,7 @@ def read(
     found = _listed_poses(folder) + _poses_of_frames(depths, depth, poses.by_frame(folder))
     note = ""
     if not (has_color_stamps and has_depth_stamps):
-        name = folder.absolute().name
-        note = f"{name} has no timestamps; {RATE_HZ} frames per second are assumed"
+        note = f"it has no timestamps; {RATE_HZ} frames per second are assumed"
     return Recording(colors, depths, cameras(folder, colors, depths), found, note)
 
 
