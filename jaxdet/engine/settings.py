@@ -54,6 +54,9 @@ class RunOptions:
     """Process logs again that failed, lost frames or have changed since."""
 
     def __post_init__(self) -> None:
+        if isinstance(self.workers, int) and not 1 <= self.workers <= MAX_WORKERS:
+            remedy = f"give --workers from 1 to {MAX_WORKERS}"
+            raise ConfigError(f"{self.workers} workers", remedy=remedy)
         check_fields(self)
         if self.batch_size is not None and self.batch_size < 1:
             raise ConfigError(f"batches of {self.batch_size}", remedy="give --batch-size 1 or more")
@@ -65,9 +68,6 @@ class RunOptions:
             )
         if self.pictures < 0:
             raise ConfigError(f"{self.pictures} pictures", remedy="give --pictures 0 or more")
-        if self.workers is not None and not 1 <= self.workers <= MAX_WORKERS:
-            remedy = f"give --workers from 1 to {MAX_WORKERS}"
-            raise ConfigError(f"{self.workers} workers", remedy=remedy)
 
 
 class Progress(NamedTuple):
