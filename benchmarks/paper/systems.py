@@ -42,7 +42,7 @@ JOIN_M = (0.40, 0.10)
 CITED = ("birch", "perch", "rock", "cure", "chameleon", "ddc", "dcc")
 """Methods in Section 2 of the paper other than hierarchical clustering and RSC, in its order."""
 LEARNT = (
-    "Its weights were trained on 16,570 simulated frames of the same and of harder families, with "
+    "Its weights were trained on 21,570 simulated frames of the same and of harder families, with "
     "other seeds, and on two thirds of the labelled real frames. The two or three parameters of a "
     "baseline are chosen on one frame per scene, light and tuning seed."
 )

@@ -31,7 +31,7 @@ class SimConfig:
     """Scene: demo, drive, empty, single_box, row, posts; randomised by the seed:
     people_and_vehicle, roadblocks, bucket, tree_trunk, mixed, cylinder, approach, queue,
     low_things, pedestrian, and the harder corridor, wall_in_range, room, low_clutter, drops, ramps,
-    tables; moving, with walking people and crossing carts; or a TOML or JSON file."""
+    tables, crowded; moving, with walking people and crossing carts; or a TOML or JSON file."""
     frames: int = 60
     """Number of colour frames."""
     seed: int = 0

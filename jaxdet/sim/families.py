@@ -12,6 +12,7 @@ import numpy as np
 from jaxdet.sim import indoors, terrain
 from jaxdet.sim.apart import apart
 from jaxdet.sim.appearance import POST, Texture, pick
+from jaxdet.sim.crowded import crowded
 from jaxdet.sim.draft import Draft
 from jaxdet.sim.moving import moving
 from jaxdet.sim.scene import Cylinder, Model, Path, Scene
@@ -161,6 +162,7 @@ _FAMILIES: dict[str, Callable[[Draft, float], Scene]] = {
     "pedestrian": _pedestrian,
     **{name: _fixed(draw) for name, draw in _HARD.items()},
     "moving": _fixed(moving),
+    "crowded": _fixed(crowded),
 }
 FAMILIES = tuple(_FAMILIES)
 """Names of all families."""

@@ -19,14 +19,15 @@ def low_clutter(draft: Draft) -> Scene:
     rng = draft.rng
     kinds = ["small box", "small box", "brick", "kerb", "bottle", "cable_drum"]
     for _ in range(int(rng.integers(3, 7))):
-        _low(draft, str(rng.choice(kinds)), *draft.place(0.9, 3.3, 0.2, gap=0.2))
+        place_low(draft, str(rng.choice(kinds)), *draft.place(0.9, 3.3, 0.2, gap=0.2))
     outdoors = bool(rng.random() < 0.35)
     left, right, front = rng.uniform((1.3, 1.3, 2.8), (4.5, 4.5, 8.0)).tolist()
     walls = building(rng) if outdoors else room(inner_wall(rng), left, right, front)
     return draft.enclosed("low_clutter", walls, hard_floor(rng, outdoors=outdoors))
 
 
-def _low(draft: Draft, kind: str, x: float, y: float) -> None:
+def place_low(draft: Draft, kind: str, x: float, y: float) -> None:
+    """Place an object of at most 20 cm: a small box, brick, kerb, bottle or cable drum."""
     rng = draft.rng
     yaw = float(rng.uniform(-np.pi, np.pi))
     if kind == "small box":

@@ -12,6 +12,7 @@ from jaxdet.errors import ConfigError
 from jaxdet.sim.mesh import Mesh
 from jaxdet.sim.models.cart import cart
 from jaxdet.sim.models.furniture import chair, round_table, sofa, table
+from jaxdet.sim.models.household import bag, bed, desk, office_chair, plant, rack
 from jaxdet.sim.models.low import LOW_THINGS, low_thing
 from jaxdet.sim.models.outdoors import street_light, tree_trunk
 from jaxdet.sim.models.people import STRIDE_M, standing_person, walking_person
@@ -37,6 +38,12 @@ _LATER: dict[str, Callable[[np.random.Generator, float], Mesh]] = {
     "round_table": round_table,
     "cable_drum": cable_drum,
     "cart": cart,
+    "office_chair": office_chair,
+    "desk": desk,
+    "bed": bed,
+    "rack": rack,
+    "plant": plant,
+    "bag": bag,
 }
 """Models added later. They come after the low objects, as the index of a model is part of its
 random seed."""
