@@ -186,18 +186,15 @@ def typical_depth(image: ImageMessage | CompressedImageMessage) -> float:
     Raises:
         FrameError: The image can't be decoded, or has more than ``_MAX_TYPICAL_PIXELS``.
     """
-    scale = None
-    if isinstance(image, CompressedImageMessage) and is_zstd(image.format):
+    if isinstance(image, ImageMessage):
+        pixels, scale = depth_pixels(image, _MAX_TYPICAL_PIXELS), None
+    else:
         width, height = compressed_size(image)
         check_size(width, height, _MAX_TYPICAL_PIXELS)
-        image = unpack(image, width, height)
-    if isinstance(image, CompressedImageMessage):
-        width, height = compressed_size(image)
-        check_size(width, height, _MAX_TYPICAL_PIXELS)
+        if is_zstd(image.format):
+            return typical_depth(unpack(image, width, height))
         pixels = np.empty((height, width), np.uint16)
         scale = _decode_codes(image, pixels)
-    else:
-        pixels = depth_pixels(image, _MAX_TYPICAL_PIXELS)
     some = pixels[::4, ::4].astype(np.float32)
     if scale is not None:
         some = _depths_of(some, *scale)

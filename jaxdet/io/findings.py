@@ -243,8 +243,9 @@ def _with_poses(
     found = without._replace(source=source._replace(offset_ns=offset.ns, warnings=warnings))
     # If the poses were only recorded by another clock, fewer frames have one with the offset.
     is_measured = offset.ns and offset.text
-    shares = [_share_known(one, is_complete) for one in (without, found) if is_measured]
-    return without if shares and shares[0] > shares[1] else found
+    if is_measured and _share_known(without, is_complete) > _share_known(found, is_complete):
+        return without
+    return found
 
 
 def _share_known(frames: IndexedFrames, is_complete: bool) -> float:

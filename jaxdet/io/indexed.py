@@ -204,8 +204,7 @@ def _find_topics(
     found: dict[tuple[str, str], tuple[list[MessageDecoder], list[IndexedMessages]]] = {}
     path, nbytes = builder.contents.path, sum(file.size for file in files)
     silent = list[ChannelInfo]()
-    sums = Counter[str]()
-    """Number of images by topic, and of all small messages (empty)."""
+    sums = Counter[str]()  # images by topic, and all small messages under ""
     for number, entries in enumerate(indexes):
         check_topics(len(entries.infos), path)
         if builder.images:

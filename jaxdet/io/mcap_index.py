@@ -29,7 +29,7 @@ from jaxdet.io.chunks import (
     DamageError,
     read_chunk_head,
 )
-from jaxdet.io.container import LogFile, Source
+from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import Declarations
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS, MAX_PARTS
@@ -152,29 +152,20 @@ class FileRecords:
                 return
 
 
-def mcap_parts(file: LogFile) -> list[Source]:
-    """Return the MCAP files of which a file consists, usually only itself.
+def mcap_parts(file: LogFile) -> tuple[list[tuple[int, int]], int]:
+    """Return start and size of the MCAP files in a file, and the number of other bytes.
 
-    Recordings that were appended to complete or truncated ones are separate files.
+    Usually there is one; recordings that were appended to complete or truncated ones are separate.
     """
-    source, spans, unused, start = file.source, [], 0, 0
+    spans, other, start = [], 0, 0
     while start < file.size:
         after, is_complete = _end(file, start)
         following = _next(file, after) if len(spans) < MAX_PARTS else file.size
         end = after if is_complete else following
         spans.append((start, end - start))
-        unused += following - end
+        other += following - end
         start = following
-    notes = [source.note] if source.note else []
-    if len(spans) > 1:
-        count = f"{len(spans)} MCAP files, one after the other"
-        notes.append(f"it consists of {count}, which are read as one recording")
-    if unused:
-        notes.append(f"{unused} bytes after the end of the recording are not read")
-    elif len(spans) == 1:
-        return [source]
-    note = "; ".join(notes)
-    return [Source(source.path, note, source.start + begin, size) for begin, size in spans]
+    return spans, other
 
 
 def _end(file: LogFile, start: int) -> tuple[int, bool]:
@@ -183,14 +174,12 @@ def _end(file: LogFile, start: int) -> tuple[int, bool]:
     The end of a torn file is unknown: the position of its last record is returned.
     """
     place = position = start + len(MAGIC)
-    for _ in ("data", "summary"):
-        opcode = TORN
-        for opcode, content, length in FileRecords(file).walk(position=position):
+    records, opcode = FileRecords(file), TORN
+    while opcode != Opcode.FOOTER:
+        for opcode, content, length in records.walk(position=position):
             if opcode == TORN:
                 return place, False
             place, position = content - RECORD_HEAD.size, content + length
-        if opcode == Opcode.FOOTER:
-            break
     end = position + len(MAGIC)
     if end > file.size or file.read(position, len(MAGIC)) != MAGIC:
         return place, False

@@ -117,9 +117,9 @@ class _Scan:
     def index(self) -> FileIndex:
         """Return the index of the messages found, with the counts declared by the file."""
         missing = self._missing()
-        for declared in (self.declared, self.summary.declared if self.summary else Declarations()):
-            for number in declared.channels:
-                self._info(number)
+        more = self.summary.declared.channels if self.summary else ()
+        for number in (*self.declared.channels, *more):
+            self._info(number)
         statistics = self.summary.statistics if self.summary else None
         if missing or (self.summary and not statistics):
             self._lose_missing_chunks()
