@@ -11,7 +11,8 @@ from jaxdet.io.zstd_images import is_zstd, read_zstd_head
 
 NUM_PROBES = 8
 """Number of first messages examined per topic with images or calibrations."""
-NUM_TYPICAL = 2
+NUM_TYPICAL = 1
+"""Number of depth images per topic that are decoded at opening to check the depth unit."""
 PROBE_BYTES = 1 << 16
 """Size of the part of a compressed image that is kept for its header [byte]."""
 
@@ -74,12 +75,11 @@ class ImageStream:
     @property
     def has_floats(self) -> bool:
         """Whether the depth images are 32FC1, compressed or not."""
-        image = self.first_image(True)
-        text = self.encoding(True).partition(";")[0].strip().lower()
+        image, text = self.first_image(True), self.encoding(True)
         if isinstance(image, CompressedImageMessage) and is_zstd(image.format):
             head = read_zstd_head(image.data)
-            text = head.encoding.lower() if head else ""
-        return text == "32fc1"
+            text = head.encoding if head else ""
+        return text.partition(";")[0].strip().lower() == "32fc1"
 
     def size(self, depth: bool) -> ImageSize | None:
         """Return the most common size of the first images, without decoding; None if unknown."""
