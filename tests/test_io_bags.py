@@ -339,8 +339,11 @@ def test_bag_without_rosbags_names_the_extra(bag, monkeypatch):
         ),
         ("a.mcap", bytes(5000), "but zeros, as if it was never written; copy the recording"),
         ("a.mcap", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer; run git lfs"),
-        ("a.bag", b"\n<!DOCTYPE HTML><title>404</title>", "but an HTML page; .* download the rec"),
-        ("a.db3", b"<?xml version='1.0'?><Error/>", "but an XML document; .* download the rec"),
+        (
+            "a.bag",
+            b"\n<!DOCTYPE HTML><title>404</title>",
+            "'<!DOCTYPE HTML>.*a server; download",
+        ),
         ("a.mcap", b"PK\3\4" + bytes(99), "but a ZIP archive; unpack it"),
         ("a.mcap.gz", b"x" * 99, "not an MCAP file, but text that begins with"),
         ("a.mcap.zst", b"", "a.mcap.zst: the file is empty"),

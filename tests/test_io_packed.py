@@ -2,7 +2,10 @@
 
 import bz2
 import gzip
+import os
 import sqlite3
+import subprocess
+import sys
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -19,6 +22,20 @@ SCENE = make_scene(40)
 FORMS = ("mcap", "db3", "bag")
 ZSTD = zstandard.ZstdCompressor().compress
 BZIP2 = partial(bz2.compress, compresslevel=1)  # in blocks of 100 kB
+KILLED_WORKER = """
+import multiprocessing, os, sys, tempfile
+from jaxdet.io import open_log
+
+def work(path):
+    open_log(path)
+    os._exit(1)
+
+if __name__ == "__main__":
+    worker = multiprocessing.get_context("spawn").Process(target=work, args=sys.argv[1:])
+    worker.start()
+    worker.join()
+    print(os.listdir(tempfile.gettempdir()))
+"""
 PACK = {".zstd": ZSTD, ".zst": ZSTD, ".bz2": BZIP2, ".gz": gzip.compress}
 
 
@@ -133,3 +150,16 @@ def test_a_compressed_database_without_tables_is_named(tmp_path):
     packed = packed_file(tmp_path / "x.db3", ".zstd")
     with pytest.raises(InputError, match=rf"{packed}: not a rosbag2 recording"):
         open_log(str(packed))
+
+
+def test_copies_of_killed_workers_are_removed(tmp_path):
+    packed = packed_file(write(tmp_path, "mcap"), ".zst")
+    script, folder = tmp_path / "x.py", tmp_path / "tmp"
+    script.write_text(KILLED_WORKER)
+    folder.mkdir()
+    shown = subprocess.check_output(
+        [sys.executable, "-P", str(script), str(packed)],
+        env={**os.environ, "TMPDIR": str(folder)},
+        text=True,
+    )
+    assert "jaxdet-unpacked-" in shown and not [*folder.iterdir()]

@@ -28,7 +28,7 @@ from mcap.opcode import Opcode
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import MESSAGE_HEAD, PAYLOAD_OFFSET, RECORD_HEAD, ChunkHead, DamageError
-from jaxdet.io.container import FileState, LogFile, Source, Walk
+from jaxdet.io.container import LogFile, Source, Walk
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import MAX_CHANNEL, FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_DECLARATIONS, MAX_SCHEMA_BYTES, MAX_SCHEMAS_BYTES
@@ -94,15 +94,9 @@ class BagFile(LogFile):
 
     magic = MAGIC
 
-    def __init__(
-        self,
-        path: Path,
-        max_bytes: int,
-        state: FileState | None = None,
-        source: Source | None = None,
-    ) -> None:
+    def __init__(self, path: Path, max_bytes: int, source: Source | None = None) -> None:
         _require_rosbags(path)
-        super().__init__(path, max_bytes, state, source)
+        super().__init__(path, max_bytes, source)
         try:
             self.head = self.record(len(MAGIC))
             self.index = self.head.number(b"index_pos", 8) if self.head.op == BAG else 0
@@ -115,8 +109,8 @@ class BagFile(LogFile):
     def without_index(self, why: str) -> InputError:
         """Return the error for a bag whose index is missing or damaged."""
         problem, remedy = f"the bag has no usable index ({why})", "run rosbag reindex on a copy"
-        if self.note:
-            problem, remedy = self.note, "copy or compress the original bag again"
+        if self.source.note:
+            problem, remedy = self.source.note, "copy or compress the original bag again"
         elif self.source.path != self.path:
             remedy = "decompress it and run rosbag reindex"
         return InputError(problem, path=str(self.path), remedy=remedy)

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
+from weakref import WeakSet
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -25,6 +26,9 @@ from jaxdet.io.file_index import MAX_CHANNEL, FileIndex, FileIntegrity, file_ind
 from jaxdet.io.limits import ReadMemory, check_chunk, check_count, check_index
 
 T = TypeVar("T")
+
+opened: WeakSet["BytesFile"] = WeakSet()
+"""Open files of this process."""
 
 _MESSAGE = "message"
 """Compression name of chunks that can't be read by their position in the file."""
@@ -61,6 +65,8 @@ class Source(NamedTuple):
     """Position at which the log file starts in ``path`` [byte]."""
     size: int | None = None
     """Size of the log file [byte]; None: up to the end of ``path``."""
+    state: FileState | None = None
+    """State that ``path`` must have; None: its state when it is opened."""
 
 
 class BytesFile:
@@ -68,39 +74,34 @@ class BytesFile:
 
     Args:
         path: File, as passed by the user.
-        state: State that the file must have; by default its current state.
         source: Bytes of the file; by default those in ``path``.
 
     Raises:
         InputError: The file can't be opened, or its state is not the expected one.
     """
 
-    def __init__(
-        self, path: Path, state: FileState | None = None, source: Source | None = None
-    ) -> None:
+    def __init__(self, path: Path, source: Source | None = None) -> None:
         self.path, self.source = path, source or Source(path)
         self._patience_s = _PATIENCE_S
         with ExitStack() as failed:
             try:
                 self._file = failed.enter_context(self.source.path.open("rb", buffering=0))
                 self._descriptor = self._file.fileno()
-                self.state = state or FileState.of(os.fstat(self._descriptor))
+                self.state = self.source.state or FileState.of(os.fstat(self._descriptor))
             except OSError as error:
                 raise unreadable(error, path) from error
+            self.source = self.source._replace(state=self.state)
             rest = max(0, self.state.size - self.source.start)
             self.size = rest if self.source.size is None else min(rest, self.source.size)
             self.check_unchanged()
             failed.pop_all()
+        opened.add(self)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
         self._descriptor = -1
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the file was not closed yet."""
-        return self._descriptor >= 0
+        opened.discard(self)
 
     def check_unchanged(self) -> None:
         """Check that the file has not changed since it was opened.
@@ -183,7 +184,6 @@ class LogFile(BytesFile, ABC):
     Args:
         path: File, as passed by the user.
         max_bytes: Maximum size of a chunk or message, before and after decompression.
-        state: State that the file must have; by default its current state.
         source: Bytes of the file; by default those in ``path``.
 
     Raises:
@@ -192,25 +192,18 @@ class LogFile(BytesFile, ABC):
 
     magic: bytes
     """Magic bytes at the start of the file."""
-    note: str = ""
+    note: str
     """Warning about the contents; empty if there is none."""
     memory: ReadMemory = ReadMemory()
     """Limits of the memory for reading."""
 
-    def __init__(
-        self,
-        path: Path,
-        max_bytes: int,
-        state: FileState | None = None,
-        source: Source | None = None,
-    ) -> None:
-        super().__init__(path, state, source)
+    def __init__(self, path: Path, max_bytes: int, source: Source | None = None) -> None:
+        super().__init__(path, source)
         self.max_bytes, self.note = max_bytes, self.source.note
 
     def __reduce__(self) -> tuple:
         """Pickle the arguments; another process opens the file again."""
-        arguments = self.path, self.max_bytes, self.state, self.source
-        return type(self), arguments, {"memory": self.memory}
+        return type(self), (self.path, self.max_bytes, self.source), {"memory": self.memory}
 
     def note_unread(self, nbytes: int) -> None:
         """Add a warning about bytes after the end of the recording, if there are any."""

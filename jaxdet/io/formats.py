@@ -1,27 +1,28 @@
 """Opening of files by their content; compressed recordings are decompressed to temporary files.
 
 rosbag2 names compressed files ``NAME_0.mcap.zstd``; ``zstd``, ``bzip2`` and ``gzip`` append
-``.zst``, ``.bz2`` and ``.gz``. The decompressed file is in a new folder in the system's temporary
-folder (``TMPDIR``), and is removed when the process ends, or earlier if another file needs the
-space. If a compressed file is truncated or damaged, the data before the damage are used.
+``.zst``, ``.bz2`` and ``.gz``. The decompressed file is in the system's temporary folder
+(``TMPDIR``). It is removed when the main process ends, as worker processes are killed, or earlier
+if another file needs the space. If a compressed file is truncated or damaged, the data before the
+damage are used.
 """
 
-import atexit
+import hashlib
+import multiprocessing
 import os
 import shutil
 import tempfile
 import time
 from contextlib import closing, suppress
+from multiprocessing.util import Finalize
 from pathlib import Path, PurePath
-from typing import NamedTuple
-from weakref import WeakSet
 
 import pyarrow as pa
 
 from jaxdet.errors import InputError, printable
 from jaxdet.io.bag import BagFile
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.container import BytesFile, FileState, LogFile, Source, unreadable
+from jaxdet.io.container import BytesFile, FileState, LogFile, Source, opened, unreadable
 from jaxdet.io.image_folder import ImageFolder
 from jaxdet.io.limits import ReadMemory
 from jaxdet.io.mcap_file import McapFile
@@ -60,33 +61,13 @@ _TEXT = {*range(0x20, 0x7F), *range(0x80, 0x100), *b"\t\r\n"}
 """Bytes that occur in text."""
 _copies: dict[FileState, Source] = {}
 """Decompressed copies made by this process, by the state of the compressed file."""
-_files = WeakSet[LogFile]()
-"""Files of ``_copies`` that were opened."""
-
-
-class _Content(NamedTuple):
-    """Content of a file that is not a recording."""
-
-    begin: bytes
-    """First bytes, in lower case."""
-    name: str
-    remedy: str
-
-
-_DOWNLOAD = "it may be an error message of a server; download the recording again"
-_CONTENTS = (
-    _Content(b"version https://git-lfs", "a Git LFS pointer", "run git lfs pull"),
-    _Content(b"<!doctype html", "an HTML page", _DOWNLOAD),
-    _Content(b"<html", "an HTML page", _DOWNLOAD),
-    _Content(b"<?xml", "an XML document", _DOWNLOAD),
-    _Content(b"{", "a JSON document", _DOWNLOAD),
-    _Content(b"pk\3\4", "a ZIP archive", "unpack it"),
-    _Content(b"7z\xbc\xaf", "a 7z archive", "unpack it"),
-    _Content(b"rar!", "a RAR archive", "unpack it"),
-    _Content(b"\xfd7zxz\0", "compressed with xz", "decompress it with xz -d"),
-    _Content(b"\4\x22\x4d\x18", "compressed with lz4", "decompress it with lz4 -d"),
-    _Content(b"#rosbag v1", "a ROS 1 bag of version 1", "convert it with rosbag compress"),
-)
+_CONTENTS = {
+    b"version https://git-lfs": ("a Git LFS pointer", "run git lfs pull"),
+    b"PK\3\4": ("a ZIP archive", "unpack it"),
+    b"\xfd7zXZ\0": ("compressed with xz", "decompress it with xz -d"),
+    b"\4\x22\x4d\x18": ("compressed with lz4", "decompress it with lz4 -d"),
+}
+"""Contents that are not recordings, and remedies, by the first bytes of the file."""
 
 
 def open_file(path: Path, max_bytes: int, memory: ReadMemory | None = None) -> LogFile:
@@ -112,8 +93,7 @@ def open_file(path: Path, max_bytes: int, memory: ReadMemory | None = None) -> L
         kinds = [kind for kind, _ in RECORDINGS.values() if head.startswith(kind.magic)]
         if not kinds or size <= 2 * len(kinds[0].magic):
             raise _not_a_recording(path, size, head)
-        file = kinds[0](path, max_bytes, source=source)
-        _files.add(file)
+        file = kinds[0](path, max_bytes, source)
     file.memory = memory or ReadMemory()
     return file
 
@@ -145,8 +125,7 @@ def _not_a_recording(path: Path, size: int, head: bytes) -> InputError:
     """Return the error for a file with other content than its suffix says."""
     suffix = bare_name(path).suffix.lower()
     _, name = RECORDINGS.get(suffix, RECORDINGS[".mcap"])
-    begin = head.lstrip(b"\xef\xbb\xbf \t\r\n").lower()
-    found = [content for content in _CONTENTS if begin.startswith(content.begin)]
+    found = [about for begin, about in _CONTENTS.items() if head.startswith(begin)]
     what, remedy = "", "record or copy it again, or exclude it"
     if any(head.startswith(kind.magic) for kind, _ in RECORDINGS.values()):
         problem = "the recording has no records"
@@ -154,14 +133,15 @@ def _not_a_recording(path: Path, size: int, head: bytes) -> InputError:
         problem = "the file is empty"
     else:
         if found:
-            what, remedy = found[0].name, found[0].remedy
+            what, remedy = found[0]
         elif head[257:262] == b"ustar":
             what, remedy = "a tar archive", "unpack it"
         elif not any(head):
             what, remedy = "zeros, as if it was never written", "copy the recording again"
         elif all(byte in _TEXT for byte in head):
-            line = head[:40].decode(errors="replace").partition("\n")[0]
+            line = head.strip()[:40].decode(errors="replace").partition("\n")[0]
             what = f"text that begins with '{printable(line)}'"
+            remedy = "it may be an error message of a server; download or copy the recording again"
         problem = f"not {name}" + (f", but {what}" if what else "")
     return InputError(problem, path=str(path), remedy=remedy)
 
@@ -176,8 +156,9 @@ def _unpacked(path: Path, codec: str) -> Source:
         state = FileState.of(path.stat())
         if state not in _copies or not _copies[state].path.exists():
             _remove_old()
-            folder = Path(tempfile.mkdtemp(prefix=_FOLDER))
-            atexit.register(shutil.rmtree, folder, ignore_errors=True)
+            _folder().mkdir(mode=0o700, exist_ok=True)
+            folder = Path(tempfile.mkdtemp(dir=_folder()))
+            Finalize(None, shutil.rmtree, (folder, True), exitpriority=-1)
             _copies[state] = _unpack(path, codec, folder / "recording", state.size)
         return _copies[state]
     except OSError as error:
@@ -186,13 +167,27 @@ def _unpacked(path: Path, codec: str) -> Source:
         raise InputError(problem, path=str(path), remedy=remedy) from error
 
 
+def _folder() -> Path:
+    """Return the temporary folder of a main process and its workers, which share a random key."""
+    key = hashlib.sha256(multiprocessing.current_process().authkey).hexdigest()[:16]
+    return Path(tempfile.gettempdir(), f"{_FOLDER}{key}")
+
+
+def _remove_all() -> None:
+    shutil.rmtree(_folder(), ignore_errors=True)
+
+
+if multiprocessing.parent_process() is None:
+    Finalize(None, _remove_all, exitpriority=-1)  # after workers have been killed
+
+
 def _room(target: Path) -> int:
     return shutil.disk_usage(target.parent).free - _SPARE_BYTES
 
 
 def _remove_unused() -> None:
     """Remove the copies of logs that are no longer open."""
-    used = {file.source.path for file in _files if file.is_open}
+    used = {file.source.path for file in [*opened]}
     for state, copy in [*_copies.items()]:
         if copy.path not in used:
             shutil.rmtree(copy.path.parent, ignore_errors=True)

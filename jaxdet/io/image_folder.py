@@ -65,16 +65,11 @@ class ImageFolder(MessageFile):
 
     magic = b""
 
-    def __init__(
-        self,
-        path: Path,
-        max_bytes: int,
-        state: FileState | None = None,
-        source: Source | None = None,
-    ) -> None:
-        self.path, self.max_bytes, self.source = path, max_bytes, source or Source(path)
+    def __init__(self, path: Path, max_bytes: int, source: Source | None = None) -> None:
+        self.path, self.max_bytes = path, max_bytes
         try:
-            self.state = state or _state(path)
+            self.state = (source and source.state) or _state(path)
+            self.source = Source(path, state=self.state)
             self.check_unchanged()
             recording = read_recording(path)
             self._messages = _encode(path, recording)

@@ -42,14 +42,19 @@ class McapFile(LogFile):
 
     def parts(self) -> list[LogFile]:
         """Return the MCAP files of which this one consists, see :meth:`LogFile.parts`."""
-        sources = mcap_parts(self)
-        if sources == [self.source]:
+        spans, unread = mcap_parts(self)
+        if len(spans) == 1 and not unread:
             return [self]
         self.close()
-        files = [McapFile(self.path, self.max_bytes, self.state, one) for one in sources]
-        for file in files:
-            file.memory = self.memory
-        return [*files]
+        text = f"it consists of {len(spans)} MCAP files, one after the other, which are read as one"
+        notes = [self.source.note, f"{text} recording" if len(spans) > 1 else ""]
+        source, files = self.source._replace(note="; ".join(filter(None, notes))), list[LogFile]()
+        for start, size in spans:
+            part = source._replace(start=start, size=size)
+            files.append(McapFile(self.path, self.max_bytes, part))
+            files[-1].memory = self.memory
+            files[-1].note_unread(unread)
+        return files
 
     def rebuild_index(self) -> FileIndex:
         """Rebuild the index by a scan, see :meth:`LogFile.rebuild_index`."""

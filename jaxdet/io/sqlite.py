@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxdet.errors import InputError
 from jaxdet.io.chunks import DamageError
-from jaxdet.io.container import FileState, MessageFile, MessageRow, Source, Walk
+from jaxdet.io.container import MessageFile, MessageRow, Source, Walk
 from jaxdet.io.declarations import ChannelInfo
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
 from jaxdet.io.limits import MAX_SCHEMA_BYTES, MAX_TOPICS, check_topics
@@ -71,14 +71,8 @@ class SqliteFile(MessageFile):
     tables: frozenset[str] | set[str] = frozenset()
     """Tables of a recording that exist in the file, without views."""
 
-    def __init__(
-        self,
-        path: Path,
-        max_bytes: int,
-        state: FileState | None = None,
-        source: Source | None = None,
-    ) -> None:
-        super().__init__(path, max_bytes, state, source)
+    def __init__(self, path: Path, max_bytes: int, source: Source | None = None) -> None:
+        super().__init__(path, max_bytes, source)
         self._of_thread = local()
         self._connections: list[sqlite3.Connection] = []
         try:
