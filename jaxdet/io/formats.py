@@ -17,8 +17,6 @@ from contextlib import closing, suppress
 from multiprocessing.util import Finalize
 from pathlib import Path, PurePath
 
-import pyarrow as pa
-
 from jaxdet.errors import InputError, printable
 from jaxdet.io.bag import BagFile
 from jaxdet.io.chunks import DamageError
@@ -98,14 +96,9 @@ def open_file(path: Path, max_bytes: int, memory: ReadMemory | None = None) -> L
     return file
 
 
-def is_packed(path: PurePath) -> bool:
-    """Return whether the suffix of a file is that of a compressed file."""
-    return path.suffix.lower() in PACKED
-
-
 def bare_name(path: PurePath) -> PurePath:
     """Return the name of a recording without the suffix of its compression."""
-    return path.with_suffix("") if is_packed(path) else path
+    return path.with_suffix("") if path.suffix.lower() in PACKED else path
 
 
 def _head(path: Path, source: Source) -> tuple[int, bytes]:
@@ -210,6 +203,8 @@ def _unpack(path: Path, codec: str, target: Path, packed_bytes: int) -> Source:
         InputError: The decompressed file is too large, or there is too little disk space.
         OSError: A file can't be read or written, or is damaged from its start on.
     """
+    import pyarrow as pa  # here, as most logs do not need it
+
     most, size = min(MAX_UNPACKED_BYTES, _MAX_RATIO * packed_bytes + _FREE_BYTES), 0
     if _room(target) < most:
         _remove_unused()
