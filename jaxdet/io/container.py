@@ -61,10 +61,6 @@ class Source(NamedTuple):
     """File that is read: the log file, or a decompressed copy of it."""
     note: str = ""
     """Warning about the contents; empty if there is none."""
-    start: int = 0
-    """Position at which the log file starts in ``path`` [byte]."""
-    size: int | None = None
-    """Size of the log file [byte]; None: up to the end of ``path``."""
     state: FileState | None = None
     """State that ``path`` must have; None: its state when it is opened."""
 
@@ -91,8 +87,7 @@ class BytesFile:
             except OSError as error:
                 raise unreadable(error, path) from error
             self.source = self.source._replace(state=self.state)
-            rest = max(0, self.state.size - self.source.start)
-            self.size = rest if self.source.size is None else min(rest, self.source.size)
+            self.size = self.state.size
             self.check_unchanged()
             failed.pop_all()
         opened.add(self)
@@ -128,7 +123,7 @@ class BytesFile:
         """
         self._check_within(position, size)
         try:
-            data = self._call(os.pread, self._descriptor, size, self.source.start + position)
+            data = self._call(os.pread, self._descriptor, size, position)
         except (OSError, OverflowError, ValueError) as error:
             raise _damage(error) from error
         if len(data) == size:
@@ -145,7 +140,6 @@ class BytesFile:
             InputError: The file was changed since it was opened.
         """
         self._check_within(position, len(memory))
-        position += self.source.start
         while len(memory):
             try:
                 count = self._call(os.preadv, self._descriptor, [memory], position)
@@ -246,13 +240,6 @@ class LogFile(BytesFile, ABC):
         Raises:
             DamageError: The index is missing, incomplete or wrong.
         """
-
-    def parts(self) -> list["LogFile"]:
-        """Return the files of which this one consists, if several were concatenated.
-
-        A file that is not among them is closed.
-        """
-        return [self]
 
     def rebuild_index(self) -> FileIndex:
         """Build an index of all readable messages by reading the complete file.

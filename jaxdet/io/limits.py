@@ -30,8 +30,6 @@ MAX_FRAMES_TF = 10_000
 """Maximum number of TF frames in a log; robots with hands have about 200."""
 MAX_ODD_RECORDS = 1000
 """Maximum number of empty or unknown records in a chunk, in a summary or between chunks."""
-MAX_PARTS = 250
-"""Maximum number of concatenated MCAP files that are read."""
 MAX_SMALL_BYTES = 1 << 20
 """Maximum size of a calibration, transform or pose message [byte]; a thousand transforms have 150
 kB."""

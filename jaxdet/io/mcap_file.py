@@ -16,7 +16,7 @@ from jaxdet.io.chunks import (
 )
 from jaxdet.io.container import LogFile
 from jaxdet.io.file_index import FileIndex
-from jaxdet.io.mcap_index import mcap_parts, read_mcap_index
+from jaxdet.io.mcap_index import read_mcap_index
 from jaxdet.io.mcap_scan import rebuild_mcap_index
 
 _BEGIN_BYTES = 192 << 10
@@ -39,22 +39,6 @@ class McapFile(LogFile):
     def read_index(self) -> FileIndex:
         """Read the file's own index, see :meth:`LogFile.read_index`."""
         return read_mcap_index(self)
-
-    def parts(self) -> list[LogFile]:
-        """Return the MCAP files of which this one consists, see :meth:`LogFile.parts`."""
-        spans, unread = mcap_parts(self)
-        if len(spans) == 1 and not unread:
-            return [self]
-        self.close()
-        text = f"it consists of {len(spans)} MCAP files, one after the other, which are read as one"
-        notes = [self.source.note, f"{text} recording" if len(spans) > 1 else ""]
-        source, files = self.source._replace(note="; ".join(filter(None, notes))), list[LogFile]()
-        for start, size in spans:
-            part = source._replace(start=start, size=size)
-            files.append(McapFile(self.path, self.max_bytes, part))
-            files[-1].memory = self.memory
-            files[-1].note_unread(unread)
-        return files
 
     def rebuild_index(self) -> FileIndex:
         """Rebuild the index by a scan, see :meth:`LogFile.rebuild_index`."""

@@ -10,7 +10,6 @@ import struct
 from array import array
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from io import BytesIO
 from typing import NamedTuple
 
@@ -32,7 +31,7 @@ from jaxdet.io.chunks import (
 from jaxdet.io.container import LogFile
 from jaxdet.io.declarations import Declarations
 from jaxdet.io.file_index import FileIndex, FileIntegrity, file_index
-from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS, MAX_PARTS
+from jaxdet.io.limits import MAX_DECLARATIONS, MAX_ODD_RECORDS
 
 TORN = 0
 """Opcode for parts of the file that are not records."""
@@ -53,8 +52,6 @@ _ODD_BYTES = 64
 """Size below which records of unknown types count as odd, see ``MAX_ODD_RECORDS``."""
 _UNCHECKED_BYTES = 1 << 20
 """Size of message indexes after which their number is checked again."""
-_SEARCH_BYTES = 256 << 10
-"""Size of a read in the search for another MCAP file."""
 _AHEAD_BYTES = 384
 """Minimum size of a read: usually message indexes, and the head of the next chunk."""
 
@@ -152,66 +149,20 @@ class FileRecords:
                 return
 
 
-def mcap_parts(file: LogFile) -> tuple[list[tuple[int, int]], int]:
-    """Return start and size of the MCAP files in a file, and the number of other bytes.
-
-    Usually there is one; recordings that were appended to complete or truncated ones are separate.
-    """
-    spans, other, start = [], 0, 0
-    while start < file.size:
-        after, is_complete = _end(file, start)
-        following = _next(file, after) if len(spans) < MAX_PARTS else file.size
-        end = after if is_complete else following
-        spans.append((start, end - start))
-        other += following - end
-        start = following
-    return spans, other
-
-
-def _end(file: LogFile, start: int) -> tuple[int, bool]:
-    """Return the end of the MCAP file that begins at ``start``, and whether it is complete.
-
-    The end of a torn file is unknown: the position of its last record is returned.
-    """
-    place = position = start + len(MAGIC)
-    records, opcode = FileRecords(file), TORN
-    while opcode != Opcode.FOOTER:
-        for opcode, content, length in records.walk(position=position):
-            if opcode == TORN:
-                return place, False
-            place, position = content - RECORD_HEAD.size, content + length
-    end = position + len(MAGIC)
-    if end > file.size or file.read(position, len(MAGIC)) != MAGIC:
-        return place, False
-    return end, True
-
-
-def _next(file: LogFile, position: int) -> int:
-    """Return where the next MCAP file begins, from a position on; by default the end of file."""
-    begin, memory = MAGIC + bytes([Opcode.HEADER]), bytearray(_SEARCH_BYTES)
-    with suppress(DamageError):
-        while position < file.size:
-            size = min(_SEARCH_BYTES, file.size - position)
-            file.read_into(position, memoryview(memory)[:size])
-            place = memory.find(begin, 0, size)
-            if place >= 0:
-                return position + place
-            position += max(size - len(begin) + 1, 1)
-    return file.size
-
-
-def read_summary(file: LogFile, at: int | None = None) -> Summary:
+def read_summary(file: LogFile, at: int | None = None, end: int | None = None) -> Summary:
     """Read the summary of a file.
 
     Args:
         file: File.
         at: Start of the summary [byte]; default: from the footer. If set, the CRC must be right.
+        end: End of the recording [byte]; default: end of the file.
 
     Raises:
         DamageError: The file has no summary, or it can't be parsed.
     """
-    place = file.size - len(MAGIC) - _FOOTER.size
-    if place < len(MAGIC) or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
+    after = (file.size if end is None else end) - len(MAGIC)
+    place = after - _FOOTER.size
+    if place < len(MAGIC) or file.read(after, len(MAGIC)) != MAGIC:
         raise DamageError("no end of file")
     footer = file.read(place, _FOOTER.size)
     opcode, length, start, _, crc = _FOOTER.unpack(footer)

@@ -8,7 +8,7 @@ summary or the message indexes, but were not found, are reported as lost.
 """
 
 from bisect import bisect_right
-from collections import Counter
+from collections import Counter, deque
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -112,7 +112,7 @@ class _Scan:
             content = memoryview(self.file.read(position, length))
             self._content(opcode, content, position, 0)
         elif opcode in (Opcode.DATA_END, Opcode.FOOTER):
-            self._end(position + length)
+            self._end(record)
 
     def index(self) -> FileIndex:
         """Return the index of the messages found, with the counts declared by the file."""
@@ -134,17 +134,28 @@ class _Scan:
             summary_problem=self.summary_problem,
         )
 
-    def _read_summary(self, at: int | None = None) -> None:
+    def _read_summary(self, at: int | None = None, end: int | None = None) -> None:
         try:
-            self.summary, self.summary_problem = read_summary(self.file, at), ""
+            self.summary, self.summary_problem = read_summary(self.file, at, end), ""
         except DamageError as error:
             self.summary_problem = self.summary_problem or str(error)
 
-    def _end(self, position: int) -> None:
-        """Record the end of the data; if no summary was read yet, read it after this position."""
-        self.ended = self.file.read(self.file.size - len(MAGIC), len(MAGIC)) == MAGIC
+    def _end(self, last: FileRecord) -> None:
+        """Find the end of the recording; if no summary was read yet, read the one before it.
+
+        Args:
+            last: Last record of the data, which the summary follows.
+        """
+        start, end = last.position + last.length, self.file.size
+        if last.opcode == Opcode.DATA_END:
+            last = deque(FileRecords(self.file).walk(position=start), maxlen=1).pop()
+        if last.opcode == Opcode.FOOTER:
+            end = min(end, last.position + last.length + len(MAGIC))
+        self.ended = self.file.read(end - len(MAGIC), len(MAGIC)) == MAGIC
+        if self.ended:
+            self.file.note_unread(self.file.size - end)
         if self.summary is None and self.ended:
-            self._read_summary(position)
+            self._read_summary(start, end)
 
     def _chunk(self, place: Place) -> None:
         head = self.store.head(place)

@@ -70,9 +70,6 @@ def open_log(
                     with suppress(RescanError):
                         found = _find_contents(indexes, store, source, options, complete=complete)
                         return _opened(source, found, options, left_out)
-        store.stop()
-        files = [part for file in files for part in file.parts()]
-        store = ChunkStore(files, most_bytes=memory.chunk)
         indexes = [file.rebuild_index() for file in files]
         found = _find_contents(indexes, store, source, options, complete=True)
         return _opened(source, found, options, left_out)
@@ -92,8 +89,9 @@ def _opened(
     """
     contents, store = known.contents, known.store
     contents.warnings += left_out
-    notes = [f"{printable(str(file.path))}: {file.note}" for file in store.files if file.note]
-    contents.warnings += dict.fromkeys(notes)
+    contents.warnings += [
+        f"{printable(str(file.path))}: {file.note}" for file in store.files if file.note
+    ]
     _note(contents, files)
     try:
         found = find(known, options)
