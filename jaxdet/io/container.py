@@ -184,8 +184,6 @@ class LogFile(BytesFile, ABC):
         InputError: The file can't be opened, or its state is not the expected one.
     """
 
-    magic: bytes
-    """Magic bytes at the start of the file."""
     note: str
     """Warning about the contents; empty if there is none."""
     memory: ReadMemory = ReadMemory()

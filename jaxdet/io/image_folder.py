@@ -57,13 +57,7 @@ class _Message(NamedTuple):
 
 
 class ImageFolder(MessageFile):
-    """A folder of colour and depth images.
-
-    Attributes:
-        infos: Channels by id.
-    """
-
-    magic = b""
+    """A folder of colour and depth images."""
 
     def __init__(self, path: Path, max_bytes: int, source: Source | None = None) -> None:
         self.path, self.max_bytes = path, max_bytes
@@ -77,17 +71,18 @@ class ImageFolder(MessageFile):
             raise unreadable(error, path) from error
         self.note = recording.note
         self.size = sum(item.size for item in self._messages)
-        self.infos = {
-            number: ChannelInfo(topic, "cdr", name, "ros2msg", schema_text(name).encode())
-            for number, (topic, name) in enumerate(_TOPICS.items())
-        }
 
     def read_index(self) -> FileIndex:
         """Build the index of the messages from the names and sizes of the files."""
         rows = [(item.channel, item.log_ns, n, 0) for n, item in enumerate(self._messages)]
         messages = np.array(rows, np.int64).reshape(-1, 4).T
-        used = {number: self.infos[number] for number in np.unique(messages[0]).tolist()}
-        return file_index(used, messages, FileIntegrity(self.path, by_index=True))
+        used = {item.channel for item in self._messages}
+        infos = {
+            number: ChannelInfo(topic, "cdr", name, "ros2msg", schema_text(name).encode())
+            for number, (topic, name) in enumerate(_TOPICS.items())
+            if number in used
+        }
+        return file_index(infos, messages, FileIntegrity(self.path, by_index=True))
 
     def close(self) -> None:
         """Do nothing, since image files are opened only while they are read."""
