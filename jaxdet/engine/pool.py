@@ -43,7 +43,9 @@ _ENDING_S = 0.5
 """Time in which a killed fork server ends, before a new one is started [s]."""
 _SHORT_TMPDIR = "set TMPDIR to a folder with a short name and room, for instance /tmp"
 _AGAIN = "its fork server may have been killed; run the same command again"
-_ENDED_EARLY = "its own message is above"
+_ENDED_EARLY = (
+    "its own message is above; a script with observers needs: if __name__ == '__main__'"
+)
 
 
 def gpus() -> tuple[Any, ...]:
@@ -133,11 +135,12 @@ class Pool:
         """With GPUs: both ends of a pipe to each worker."""
         self._context: Any = multiprocessing.get_context(_start_method())
         self._workers: list[Worker] = []
+        self._imports_main = False
         self._early = 0
         """Number of workers with tasks that died during their start since the last answer."""
         self._ended, self._started = threading.Event(), threading.Event()
         # Before multiprocessing sends workers SIGTERM, which they ignore, and waits for them.
-        Finalize(None, _close, (WeakMethod(self.close),), exitpriority=0)
+        Finalize(self, _close, (WeakMethod(self.close),), exitpriority=0)
 
     def __enter__(self) -> "Pool":
         return self
@@ -180,7 +183,7 @@ class Pool:
             # A thread starts the workers, as the fork server takes a while to load its modules, and
             # so that no signal leaves a process half started. The thread is never joined, because a
             # Ctrl-C while Python joins a thread marks the thread as ended.
-            given = self._workers, self._ended, self._started
+            given = self._workers, self._ended, self._started, self._imports_main
             threading.Thread(target=_wake, args=given, name="jaxdet-pool", daemon=True).start()
 
     def resize(self, count: int) -> None:
@@ -188,6 +191,12 @@ class Pool:
         if count != self.count:
             self.close()
             self.count = count
+
+    def import_main(self) -> None:
+        """Import the program's main module in the processes; running ones are ended."""
+        if not self._imports_main:
+            self.close()
+            self._imports_main = True
 
     def serve(self, wanted: Served) -> Served:
         """Start the processes, and threads that compute frames of this format, unless they run.
@@ -353,14 +362,16 @@ def _close(close: WeakMethod) -> None:
         there()
 
 
-def _wake(workers: list[Worker], ended: threading.Event, awake: threading.Event) -> None:
+def _wake(
+    workers: list[Worker], ended: threading.Event, awake: threading.Event, imports_main: bool
+) -> None:
     """Start all processes, unless the pool is closed meanwhile."""
     try:
         for worker in workers:
             if not ended.is_set():
                 # If the fork server was killed, the worker's pipe is closed, which is reported.
                 with suppress(EOFError, OSError):
-                    worker.start()
+                    worker.start(imports_main=imports_main)
     finally:
         awake.set()
 
