@@ -320,7 +320,7 @@ class FolderResults(_Results):
             return state != "done"
 
         try:
-            with locked(self.root):
+            with writing(self.root), locked(self.root):
                 publish(staged, self.root, target.name, is_there)
         finally:
             remove(staged.parent)
@@ -339,12 +339,11 @@ class FolderResults(_Results):
         seen: Standing,
         staged: Path | None = None,
     ) -> None:
-        attempt = f"failed-{secrets.token_hex(4)}"
-        staged = staged or self.stage(attempt, Path())
+        staged = staged or self.stage(f"failed-{secrets.token_hex(4)}", Path())
         with writing(staged):
             staged.mkdir(exist_ok=True)
         write_whole(staged / FAILED, _bytes(failure))
-        self.publish(target, attempt, staged, seen)
+        self.publish(target, "", staged, seen)
 
     def reopen(self, target: Target, seen: Standing) -> None:
         self.forget(target)
