@@ -43,9 +43,7 @@ _ENDING_S = 0.5
 """Time in which a killed fork server ends, before a new one is started [s]."""
 _SHORT_TMPDIR = "set TMPDIR to a folder with a short name and room, for instance /tmp"
 _AGAIN = "its fork server may have been killed; run the same command again"
-_ENDED_EARLY = (
-    "its own message is above; a script with observers needs: if __name__ == '__main__'"
-)
+_ENDED_EARLY = "its own message is above; a script with observers needs: if __name__ == '__main__'"
 
 
 def gpus() -> tuple[Any, ...]:
