@@ -310,21 +310,15 @@ class FolderResults(_Results):
         return new / name
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
-        state = "done"
-
-        def is_there() -> bool:
-            nonlocal state
-            now = self.standing(target)
-            states = {"whole": "there", "other": "replaced"} if now != seen else {}
-            state = states.get(now.state, "done")
-            return state != "done"
-
         try:
             with writing(self.root), locked(self.root):
-                publish(staged, self.root, target.name, is_there)
+                now = self.standing(target)
+                if now != seen and now.state in ("whole", "other"):
+                    return "there" if now.state == "whole" else "replaced"
+                publish(staged, self.root, target.name)
+                return "done"
         finally:
             remove(staged.parent)
-        return state
 
     def logs(self) -> list[str]:
         return sorted(path.parent.name for path in self.root.glob(f"*/{MANIFEST}"))
