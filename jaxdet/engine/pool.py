@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import chain
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
@@ -23,7 +23,7 @@ from jaxdet.engine.slots import GpuPipe, Served
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.worker import Failure, Job, Lost, Worker
 from jaxdet.errors import FrameStatus, WorkerStartError
-from jaxdet.pipeline import BackendName
+from jaxdet.pipeline import BackendName, process_that_used
 from jaxdet.signals import STOPS, stops_held_back
 
 WAITING = 2
@@ -162,7 +162,7 @@ class Pool:
         Raises:
             WorkerStartError: They can't be started.
         """
-        if _process_with_workers() != os.getpid():
+        if process_that_used("workers") != os.getpid():
             problem = "workers can't be started in a process forked from one that started some"
             raise WorkerStartError(problem, remedy="start processes with spawn")
         if self._workers:
@@ -346,12 +346,6 @@ class Pool:
                 worker.pending.extendleft(reversed(short))
                 yield worker, Lost(FrameStatus.WORKER_CRASHED, "out of memory")
                 return
-
-
-@cache
-def _process_with_workers() -> int:
-    """Return the id of the process that first called this function; forked children inherit it."""
-    return os.getpid()
 
 
 def _close(close: WeakMethod) -> None:
