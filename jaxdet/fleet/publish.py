@@ -12,7 +12,7 @@ Each attempt writes under its own name, and then enters this name in ``current.j
 attempt has published meanwhile, it removes its own files instead.
 
 In a folder, results have the layout of local runs, and a complete folder is renamed to its final
-path; ``.fleet`` holds attempts.
+path; ``.fleet`` holds attempts and a lock.
 """
 
 import hashlib
@@ -304,7 +304,7 @@ class FolderResults(_Results):
         new = self.root / FLEET / "staged" / f"{process()}-{attempt}"
         with writing(new):
             new.mkdir(parents=True, exist_ok=True)
-            for left in new.parent.iterdir():
+            for left in new.parent.glob("*-*-*-*"):
                 if is_dead(left.name):
                     remove(left)
         return new / name
