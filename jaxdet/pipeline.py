@@ -57,15 +57,18 @@ def check_not_forked() -> None:
     Raises:
         ConfigError: It was forked from one that used JAX.
     """
-    if _process_of_jax() != os.getpid():
+    if process_that_used("JAX") != os.getpid():
         problem = "JAX can't be used in a process forked from one that used it"
         remedy = "start processes with spawn, or use the backend reference"
         raise ConfigError(problem, remedy=remedy)
 
 
 @cache
-def _process_of_jax() -> int:
-    """Return the id of the process that first called this function; forked children inherit it."""
+def process_that_used(_what: str) -> int:
+    """Return the id of the process that first called this function with ``_what``.
+
+    Forked children inherit it.
+    """
     return os.getpid()
 
 

@@ -393,5 +393,5 @@ def test_a_bucket_and_a_folder_prefer_the_same_files(tmp_path, names, logs):
     for name in names.split():
         (tmp_path / name).touch()
     found = [path.name for log in find_logs(tmp_path) for path in log.paths]
-    listed = listed_recordings([tmp_path / name for name in names.split()], {})
+    listed, _ = listed_recordings([tmp_path / name for name in names.split()], {})
     assert sorted(found) == sorted(path.name for item in listed for path in item) == logs.split()

@@ -229,6 +229,7 @@ def test_polygons_are_masks(tmp_path, content):
         '{"width": 160, "height": 120, "polygons": [[[1, 2], [3, 4]]]}',
         '{"width": 160, "height": 120, "polygons": [[1, 2, 3, 4, 5, 6]]}',
         '{"width": 160, "height": 120, "polygons": [[[1, 2], [3, NaN], [5, 6]]]}',
+        f'{{"width": 160, "height": 120, "polygons": [[[1, 2], [3, {10**400}], [5, 6]]]}}',
         '{"imageWidth": 9, "imageHeight": 9, "shapes": [{"points": [[1, 1]]}]}',
         '{"imageWidth": 9, "imageHeight": 9, "shapes": [{"shape_type": "circle", "points": []}]}',
         '{"imageWidth": 9, "imageHeight": 9, "shapes": [{}]}',

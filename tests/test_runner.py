@@ -43,6 +43,23 @@ except jaxdet.JaxdetError as error:
     print(error)
 """
 """Program without ``if __name__ == "__main__":`` that doesn't close its runner."""
+GUARDED = """
+import jaxdet
+
+class FrameCounter:
+    def __call__(self, batch, found):
+        return len(batch.frames.number)
+
+    def summary(self, seen):
+        return sum(seen)
+
+if __name__ == "__main__":
+    with jaxdet.Runner(backend="reference", workers=2, pictures=0, map=False) as runner:
+        runner.run("logs/a.mcap", "without")
+        summary = runner.run("logs", "with", observers={"counter": FrameCounter()})
+        print([log.to_dict()["counter"] for log in summary.logs])
+"""
+"""Script that defines an observer."""
 NO_FORK = (
     "workers can't be started in a process forked from one that started some; "
     "start processes with spawn"
@@ -52,7 +69,7 @@ NO_JAX = (
     "start processes with spawn, or use the backend reference"
 )
 IN_MAIN = (
-    "observers can't be sent to other processes (defined in __main__, which they don't import); "
+    "observers can't be sent to other processes (the program that defines them is not a file); "
     "define their classes in a module"
 )
 
@@ -81,6 +98,16 @@ def test_programs_of_all_kinds_can_start_workers(logs, tmp_path):
     assert found.stdout.splitlines() == lines, found.stderr
     assert not (tmp_path / "by_fork").exists()
     assert (tmp_path / "elsewhere/after_chdir/b/manifest.json").exists()
+
+
+def test_scripts_with_a_main_guard_can_define_observers(logs, tmp_path):
+    (tmp_path / "logs").symlink_to(logs)
+    script = tmp_path / "script.py"
+    script.write_text(GUARDED, encoding="utf-8")
+    found = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, cwd=tmp_path, timeout=120
+    )
+    assert found.stdout == "[2, 2]\n", found.stderr
 
 
 @pytest.mark.parametrize(
@@ -113,10 +140,11 @@ def test_wrong_arguments_are_named(logs, tmp_path, given: dict[str, Any], error)
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_exception_of_the_progress_callback_ends_the_run(logs, tmp_path, workers):
     def stop(now: Progress) -> None:
-        raise error
+        raise error from cause
 
-    error, options = RuntimeError("stop"), {"backend": "reference", "pictures": 0}
+    error, cause = RuntimeError("stop"), KeyError("cause")
+    options = {"backend": "reference", "pictures": 0}
     with pytest.raises(RuntimeError) as found:
         jaxdet.run(logs, tmp_path / "out", workers=workers, progress=stop, **options)
-    assert found.value is error
+    assert found.value is error and error.__cause__ is cause
     assert not list(tmp_path.iterdir())

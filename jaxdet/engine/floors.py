@@ -147,7 +147,7 @@ def decide_planes(
         )
     first, plane, warnings = _stated(log, config.ground)
     samples = _Samples(log, config, backend, at_once, alive)
-    records, windows, others = [], {}, []
+    records, windows, texts = [], {}, []
     window_ns = round(config.ground.window_s * 1e9)
     wanted = np.array(log.frames, int) if frames is None else frames
     for number, all_frames in _windows(log, window_ns, wanted):
@@ -160,12 +160,12 @@ def decide_planes(
             floors = samples.floors(sample, unknown_plane(1), turns)
             each = tuple(zip(turns, floors, strict=True))
             record, windows[number], text = _other_prior(each, record, plane)
-            others += [text] if text else []
+            texts += [text] if text else []
         start = number * window_ns if window_ns else None
         records.append(replace(record, window_start_ns=start))
-    if others:
-        where = f"; in {len(others)} of {len(windows)} time windows" if window_ns else ""
-        warnings = (*warnings, others[0] + where)
+    if texts:
+        where = f"; in {len(texts)} of {len(windows)} time windows" if window_ns else ""
+        warnings = (*warnings, texts[0] + where)
     unknown = sum(not one.valid[0] for one in windows.values())
     if config.cluster.points and unknown:
         where = f" in {unknown} of {len(windows)} time windows" if window_ns else ""

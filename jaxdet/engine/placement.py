@@ -103,6 +103,8 @@ class Machine:
         self.settings, self.pool = settings, pool
         self.memory = Memory(options.memory, workers, len(devices), apart=apart, largest=largest)
         pool.resize(self.memory.workers)
+        if settings.need_main:
+            pool.import_main()
         self.batch, self.workers = options.batch_size or 0, 1
         if options.workers and self.memory.workers < options.workers:
             room = f"{size_text(self.memory.total)} of memory have no room for more"

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import chain
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
@@ -23,7 +23,7 @@ from jaxdet.engine.slots import GpuPipe, Served
 from jaxdet.engine.startup import may_use_gpus, start_cuda, start_up
 from jaxdet.engine.worker import Failure, Job, Lost, Worker
 from jaxdet.errors import FrameStatus, WorkerStartError
-from jaxdet.pipeline import BackendName
+from jaxdet.pipeline import BackendName, process_that_used
 from jaxdet.signals import STOPS, stops_held_back
 
 WAITING = 2
@@ -43,7 +43,7 @@ _ENDING_S = 0.5
 """Time in which a killed fork server ends, before a new one is started [s]."""
 _SHORT_TMPDIR = "set TMPDIR to a folder with a short name and room, for instance /tmp"
 _AGAIN = "its fork server may have been killed; run the same command again"
-_ENDED_EARLY = "its own message is above"
+_ENDED_EARLY = "its own message is above; a script with observers needs: if __name__ == '__main__'"
 
 
 def gpus() -> tuple[Any, ...]:
@@ -133,11 +133,12 @@ class Pool:
         """With GPUs: both ends of a pipe to each worker."""
         self._context: Any = multiprocessing.get_context(_start_method())
         self._workers: list[Worker] = []
+        self._imports_main = False
         self._early = 0
         """Number of workers with tasks that died during their start since the last answer."""
         self._ended, self._started = threading.Event(), threading.Event()
         # Before multiprocessing sends workers SIGTERM, which they ignore, and waits for them.
-        Finalize(None, _close, (WeakMethod(self.close),), exitpriority=0)
+        Finalize(self, _close, (WeakMethod(self.close),), exitpriority=0)
 
     def __enter__(self) -> "Pool":
         return self
@@ -161,7 +162,7 @@ class Pool:
         Raises:
             WorkerStartError: They can't be started.
         """
-        if _process_with_workers() != os.getpid():
+        if process_that_used("workers") != os.getpid():
             problem = "workers can't be started in a process forked from one that started some"
             raise WorkerStartError(problem, remedy="start processes with spawn")
         if self._workers:
@@ -180,7 +181,7 @@ class Pool:
             # A thread starts the workers, as the fork server takes a while to load its modules, and
             # so that no signal leaves a process half started. The thread is never joined, because a
             # Ctrl-C while Python joins a thread marks the thread as ended.
-            given = self._workers, self._ended, self._started
+            given = self._workers, self._ended, self._started, self._imports_main
             threading.Thread(target=_wake, args=given, name="jaxdet-pool", daemon=True).start()
 
     def resize(self, count: int) -> None:
@@ -188,6 +189,12 @@ class Pool:
         if count != self.count:
             self.close()
             self.count = count
+
+    def import_main(self) -> None:
+        """Import the program's main module in the processes; running ones are ended."""
+        if not self._imports_main:
+            self.close()
+            self._imports_main = True
 
     def serve(self, wanted: Served) -> Served:
         """Start the processes, and threads that compute frames of this format, unless they run.
@@ -341,26 +348,22 @@ class Pool:
                 return
 
 
-@cache
-def _process_with_workers() -> int:
-    """Return the id of the process that first called this function; forked children inherit it."""
-    return os.getpid()
-
-
 def _close(close: WeakMethod) -> None:
     """End the processes of a pool that was not closed, if it is still there."""
     if there := close():
         there()
 
 
-def _wake(workers: list[Worker], ended: threading.Event, awake: threading.Event) -> None:
+def _wake(
+    workers: list[Worker], ended: threading.Event, awake: threading.Event, imports_main: bool
+) -> None:
     """Start all processes, unless the pool is closed meanwhile."""
     try:
         for worker in workers:
             if not ended.is_set():
                 # If the fork server was killed, the worker's pipe is closed, which is reported.
                 with suppress(EOFError, OSError):
-                    worker.start()
+                    worker.start(imports_main=imports_main)
     finally:
         awake.set()
 

@@ -56,7 +56,7 @@ def run_logs(
             raise Interrupted(number, text) from None
         except _CallbackError as failed:
             pool.close()
-            raise failed.args[0] from None
+            raise failed.args[0] from failed.args[0].__cause__
         except BaseException as error:
             pool.close()
             if isinstance(error, InputError | OutputError) and done:

@@ -1,6 +1,8 @@
 """Options of a run, its callbacks, and the settings that all its logs share."""
 
+import os
 import pickle
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -131,6 +133,8 @@ class RunSettings(NamedTuple):
     """Content of ``run.json``, see :func:`jaxdet.results.record.make_record`."""
     about: Mapping[str, Any]
     """Entries of each log's manifest: versions, and ``run``, the digest of the record."""
+    need_main: bool
+    """Whether observers are defined in the main module, so that workers must import it."""
 
 
 def make_settings(
@@ -157,8 +161,9 @@ def make_settings(
     """
     observers = dict(observers)
     try:
-        if b"__main__" in pickle.dumps(observers):
-            raise TypeError("defined in __main__, which they don't import")
+        need_main = b"__main__" in pickle.dumps(observers)
+        if need_main and not os.path.isfile(vars(sys.modules["__main__"]).get("__file__", "")):
+            raise TypeError("the program that defines them is not a file")
     except Exception as error:
         problem = f"observers can't be sent to other processes ({error})"
         raise ConfigError(problem, remedy="define their classes in a module") from error
@@ -167,4 +172,4 @@ def make_settings(
     record = make_record(config, log_options, preset, **given, observers=observers)
     versions = {name: record["about"][name] for name in _VERSIONS}
     about = {**versions, **about, "run": digest(record)}
-    return RunSettings(config, log_options, options, observers, record, about)
+    return RunSettings(config, log_options, options, observers, record, about, need_main)

@@ -16,8 +16,8 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from importlib.machinery import ModuleSpec
 from multiprocessing.connection import wait
-from types import ModuleType
 from typing import Any, NamedTuple, Protocol
 
 from jaxdet.engine.device import Device, OwnDevice, out_of_memory
@@ -102,10 +102,14 @@ class Worker:
         self.pending: deque[Any] = deque()
         self.ready, self.idle_s = False, 0.0
 
-    def start(self) -> None:
-        """Start the process, which takes a while."""
+    def start(self, *, imports_main: bool) -> None:
+        """Start the process, which takes a while.
+
+        Args:
+            imports_main: Whether the process imports the main module, which defines observers.
+        """
         try:
-            with _from_any_program():
+            with _from_any_program(imports_main=imports_main):
                 self.process.start()
         finally:
             self._theirs.close()
@@ -187,26 +191,27 @@ _starting = threading.Lock()
 
 
 @contextmanager
-def _from_any_program() -> Iterator[None]:
+def _from_any_program(*, imports_main: bool) -> Iterator[None]:
     """Let :mod:`multiprocessing` start processes from programs that are not made for it.
 
-    Processes would import the main module. Without this, scripts need no ``if __name__ ==
-    "__main__":``, and programs from standard input, which have no path, can start workers. In the
-    meantime other threads find the content of the module. Daemonic processes, for instance those
-    of a :class:`multiprocessing.Pool`, may have children, since workers end with their parent.
+    Processes don't import a main module whose name is ``__main__``, so scripts need no ``if
+    __name__ == "__main__":``, and programs from standard input, which have no file, can start
+    workers. Daemonic processes, for instance those of a :class:`multiprocessing.Pool`, may have
+    children, since workers end with their parent.
+
+    Args:
+        imports_main: Whether the process imports the main module nevertheless.
     """
+    main, process = sys.modules["__main__"], multiprocessing.current_process()
     with _starting:
-        main, stand_in = sys.modules["__main__"], ModuleType("__main__")
-        vars(stand_in).update(vars(main), __spec__=None)
-        vars(stand_in).pop("__file__", None)
-        sys.modules["__main__"] = stand_in
-        process = multiprocessing.current_process()
-        daemon, process.daemon = process.daemon, False
+        before = main.__spec__, process.daemon
+        process.daemon = False
+        if not imports_main:
+            main.__spec__ = ModuleSpec("__main__", None)
         try:
             yield
         finally:
-            process.daemon = daemon
-            sys.modules["__main__"] = main
+            main.__spec__, process.daemon = before
 
 
 class WorkerProcess:

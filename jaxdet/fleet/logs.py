@@ -85,7 +85,7 @@ def _digest(name: str) -> int:
 
 
 def _in_bucket(url: str, join: bool) -> list[Log]:
-    from jaxdet.io.files import listed_recordings, recording_name
+    from jaxdet.io.files import left_out_text, listed_recordings, recording_name
     from jaxdet.io.folders.recording import APPLE_DOUBLE
     from jaxdet.io.splits import METADATA, listed_in
 
@@ -99,7 +99,7 @@ def _in_bucket(url: str, join: bool) -> list[Log]:
         folder: listed_in(found[0]) for folder, found in contents if found
     }
     seen = [path for path in entries if not path.name.startswith(APPLE_DOUBLE)]
-    groups = listed_recordings(seen, listed)
+    groups, left = listed_recordings(seen, listed)
     logs = []
     for paths in groups:
         joined, folder = len(paths) > 1, paths[0].parent
@@ -109,9 +109,7 @@ def _in_bucket(url: str, join: bool) -> list[Log]:
     if not logs:
         remedy = "name a prefix of MCAP, .db3 or .bag files; folders of images must be local"
         raise InputError("no logs found", path=url, remedy=remedy)
-    left = [path for path in {*seen}.difference(*groups) if listed_recordings([path], {})]
-    why = "is left out: the same recording exists in another format"
-    note = "; ".join(f"{path} {why}" for path in sorted(left))
+    note = left_out_text([(printable(str(path)), why) for path, why in left])
     logs[0]["remarks"] = {"note": note, "about": ""}
     return logs
 
@@ -122,7 +120,7 @@ def _one_object(url: str) -> Log | None:
 
     folder, _, name = url.rpartition("/")
     path = PurePosixPath(name)
-    if not listed_recordings([path], {}) or folder.endswith(":/"):
+    if not listed_recordings([path], {})[0] or folder.endswith(":/"):
         return None
     found = [entry for entry in open_place(folder).list() if entry.key == name]
     return _log(recording_name(path, joined=False), folder, found) if found else None

@@ -309,7 +309,7 @@ class Folder:
         return True
 
     def swap(self, key: str, content: bytes, tag: Tag) -> bool:
-        with self._made(key) as path, locked(path.parent):
+        with self._made(key) as path, locked(self.root):
             found = self.get(key)
             if found is None or found[1] != tag:
                 return False
@@ -331,13 +331,15 @@ class Folder:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Lock a folder against other processes that lock it."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
+    """Lock a folder against other processes that lock it, also on other machines.
+
+    The lock is on a file that is open for writing: NFS locks folders on one machine only.
+    """
+    path = folder / FLEET / "lock"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
         yield
-    finally:
-        os.close(handle)
 
 
 def _tag(about: os.stat_result) -> Tag:

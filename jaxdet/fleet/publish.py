@@ -12,7 +12,7 @@ Each attempt writes under its own name, and then enters this name in ``current.j
 attempt has published meanwhile, it removes its own files instead.
 
 In a folder, results have the layout of local runs, and a complete folder is renamed to its final
-path; ``.fleet`` holds attempts.
+path; ``.fleet`` holds attempts and a lock.
 """
 
 import hashlib
@@ -304,27 +304,21 @@ class FolderResults(_Results):
         new = self.root / FLEET / "staged" / f"{process()}-{attempt}"
         with writing(new):
             new.mkdir(parents=True, exist_ok=True)
-            for left in new.parent.iterdir():
+            for left in new.parent.glob("*-*-*-*"):
                 if is_dead(left.name):
                     remove(left)
         return new / name
 
     def publish(self, target: Target, attempt: str, staged: Path, seen: Standing) -> str:
-        state = "done"
-
-        def is_there() -> bool:
-            nonlocal state
-            now = self.standing(target)
-            states = {"whole": "there", "other": "replaced"} if now != seen else {}
-            state = states.get(now.state, "done")
-            return state != "done"
-
         try:
-            with locked(self.root):
-                publish(staged, self.root, target.name, is_there)
+            with writing(self.root), locked(self.root):
+                now = self.standing(target)
+                if now != seen and now.state in ("whole", "other"):
+                    return "there" if now.state == "whole" else "replaced"
+                publish(staged, self.root, target.name)
+                return "done"
         finally:
             remove(staged.parent)
-        return state
 
     def logs(self) -> list[str]:
         return sorted(path.parent.name for path in self.root.glob(f"*/{MANIFEST}"))
@@ -339,12 +333,11 @@ class FolderResults(_Results):
         seen: Standing,
         staged: Path | None = None,
     ) -> None:
-        attempt = f"failed-{secrets.token_hex(4)}"
-        staged = staged or self.stage(attempt, Path())
+        staged = staged or self.stage(f"failed-{secrets.token_hex(4)}", Path())
         with writing(staged):
             staged.mkdir(exist_ok=True)
         write_whole(staged / FAILED, _bytes(failure))
-        self.publish(target, attempt, staged, seen)
+        self.publish(target, "", staged, seen)
 
     def reopen(self, target: Target, seen: Standing) -> None:
         self.forget(target)

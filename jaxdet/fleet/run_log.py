@@ -170,8 +170,8 @@ class _Job:
         assert self.spool
         attempt, begin = secrets.token_hex(6), time.monotonic()
         key = self.results.begin(self.target, attempt, self.how["command"])
-        staged = self.results.stage(attempt, self.spool.path, self.target.name)
         with called_at_end(partial(self.results.end, key)), ExitStack() as last:
+            staged = self.results.stage(attempt, self.spool.path, self.target.name)
             last.callback(remove, staged.parent)
             self.spool.witness(self.results.place.url, key)
             found = self._run(staged)

@@ -26,7 +26,7 @@ _FARTHEST = 1e6
 _MUCH = 0.5
 """Fraction of masked pixels above which black and white may be confused."""
 _FORMS = "pass a PNG, or JSON with polygons as in jaxdet help calibration"
-_RULE = "the robot must be black and all else white, or the robot inside of polygons"
+_RULE = "the robot must be black and all else white, or inside the polygons"
 _NEXT_CAMERA = re.compile(",(?=[^,=]*=)")
 _AS_TEXT = re.compile(r"(\d{1,5})x(\d{1,5}):(\d{1,8}(?: \d{1,8})*)")
 
@@ -99,8 +99,7 @@ def hidden_pixels(
 
 def mask_doubts(hidden: np.ndarray | None) -> list[str]:
     """Return a warning if a mask covers nothing or most of the images, else no warning."""
-    share = _MUCH if hidden is None else hidden.mean()
-    if 0 < share <= _MUCH:
+    if hidden is None or 0 < (share := hidden.mean()) <= _MUCH:
         return []
     covered = f"{100 * share:.0f} % of the depth image" if share else "no pixel: it has no effect"
     return [f"{FLAG} covers {covered}; {_RULE}"]
@@ -141,7 +140,7 @@ def _read(path: Path) -> np.ndarray:
             raise ValueError(f"it has more than {_MAX_BYTES >> 20} MiB")
         data = path.read_bytes()
         return _inside(json.loads(data)) if path.suffix.lower() == ".json" else _black(data)
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (OSError, ValueError, ArithmeticError, TypeError, KeyError, RecursionError) as error:
         problem = f"can't be read as a mask ({getattr(error, 'strerror', None) or error})"
         raise ConfigError(problem, path=str(path), topic=FLAG, remedy=_FORMS) from error
 
@@ -161,14 +160,14 @@ def _black(data: bytes) -> np.ndarray:
 
 
 def _inside(content: Any) -> np.ndarray:
-    """Return the pixels ``(H, W)`` bool inside of polygons: own format, labelme's or COCO's."""
+    """Return the pixels ``(H, W)`` bool inside polygons in jaxdet's format, labelme's or COCO's."""
     import cv2
 
     match content:
         case {"width": width, "height": height, "polygons": polygons}:
             pass
         case {"imageWidth": width, "imageHeight": height, "shapes": shapes}:
-            polygons = [_outline(**shape) for shape in shapes]
+            polygons = [_outline(one["points"], one.get("shape_type")) for one in shapes]
         case {"images": [{"width": width, "height": height}], "annotations": parts}:
             rings = [ring for part in parts for ring in part["segmentation"]]
             polygons = [list(zip(ring[::2], ring[1::2], strict=True)) for ring in rings]
@@ -186,11 +185,11 @@ def _inside(content: Any) -> np.ndarray:
     return image > 0
 
 
-def _outline(points: Any, shape_type: str = "polygon", **_: Any) -> Any:
+def _outline(points: Any, kind: str | None) -> Any:
     """Return the polygon of a shape of labelme."""
-    if shape_type == "rectangle":
+    if kind == "rectangle":
         (left, top), (right, bottom) = points
         return [(left, top), (right, top), (right, bottom), (left, bottom)]
-    if shape_type != "polygon":
-        raise ValueError(f"the shape {shape_type} is neither a polygon nor a rectangle")
+    if kind not in ("polygon", None):
+        raise ValueError(f"the shape {kind} is neither a polygon nor a rectangle")
     return points

@@ -353,28 +353,20 @@ def _unit_doubts(stream: ImageStream, source: str, recorded: float, path: str) -
     if not stream.typical or not (stream.has_floats or source == _ASSUMED):
         return []
     middle = float(np.median(stream.typical))
-    text = f"{printable(stream.topic)}: {'32FC1' if stream.has_floats else '16-bit'} depth of "
-    text += f"about {middle:.3g} looks like"
+    kind = "32FC1" if stream.has_floats else "16-bit"
+    text = f"{printable(stream.topic)}: {kind} depth of about {middle:.3g} looks like"
     if not stream.has_floats:
+        flag = "if distances are ten times too large, pass --log.depth-unit-m 0.0001"
         is_far = middle * DEPTH_UNIT_M > _FAR_16_BIT_M
-        return (
-            [
-                f"{text} tenths of a millimetre; if distances are ten times too large, pass "
-                "--log.depth-unit-m 0.0001"
-            ]
-            if is_far
-            else []
-        )
+        return [f"{text} tenths of a millimetre; {flag}"] if is_far else []
     if recorded < 1 and middle * recorded < _NEAR_M < middle < _FAR_M:
         return [f"{text} metres; omit --log.depth-unit-m"]
     if middle * recorded <= _FAR_M:
         return []
-    names = {"centimetres": 0.01, "millimetres": 0.001}
-    near, far = _TYPICAL_M
-    likely = {name: unit for name, unit in names.items() if near < middle * unit < far}
-    likely = likely or {"millimetres": 0.001}
-    flags = " or ".join(f"{unit:g}" for unit in likely.values())
-    return [f"{text} {' or '.join(likely)}; pass --log.depth-unit-m {flags}"]
+    (near, far), names = _TYPICAL_M, {"0.01": "centimetres", "0.001": "millimetres"}
+    likely = [unit for unit in names if near < middle * float(unit) < far] or ["0.001"]
+    kinds = " or ".join(names[unit] for unit in likely)
+    return [f"{text} {kinds}; pass --log.depth-unit-m {' or '.join(likely)}"]
 
 
 def _aligned(

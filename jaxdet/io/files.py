@@ -287,9 +287,15 @@ def _files(text: str) -> tuple[list[Path], str]:
     left += [(file, "an export of jaxdet") for file in exports]
     left += [(item, "images next to a recording") for item in sorted(copies)]
     left += [(item, "a LeRobot dataset") for item in datasets]
-    notes = [f"{_within_input(item, path)} is left out: {why}" for item, why in left[:_MAX_LISTED]]
+    note = left_out_text([(_within_input(item, path), why) for item, why in left])
+    return [*taken, *folders, *shut], note
+
+
+def left_out_text(left: Sequence[tuple[str, str]]) -> str:
+    """Return a note on files that were left out, each with the reason."""
+    notes = [f"{name} is left out: {why}" for name, why in left[:_MAX_LISTED]]
     more = [f"and {len(left) - _MAX_LISTED} more"] if len(left) > _MAX_LISTED else []
-    return [*taken, *folders, *shut], "; ".join([*notes, *more])
+    return "; ".join([*notes, *more])
 
 
 def _within_input(file: Path, named: Path) -> str:
@@ -478,11 +484,11 @@ def recording_name(first: PurePath, *, joined: bool) -> str:
 
 def listed_recordings(
     files: Iterable[PurePath], listed: Mapping[PurePath, Collection[str]]
-) -> list[list[PurePath]]:
-    """Return the recordings among files that can't be read yet, by their names alone.
+) -> tuple[list[list[PurePath]], list[tuple[PurePath, str]]]:
+    """Return the recordings among files that can't be read yet, and files left out with the reason.
 
-    If a folder has a recording in several formats, the preferred one is used as in local folders,
-    but the times of splits are not compared.
+    Only names are known. If a folder has a recording in several formats, the preferred one is used
+    as in local folders, but the times of splits are not compared.
 
     Args:
         files: All files, in any order.
@@ -490,8 +496,8 @@ def listed_recordings(
             Splits that are listed are one recording; all other files are separate recordings.
     """
     found = [path for path in files if _is_recording(path) and not _is_export(path)]
-    taken, _ = _preferred(found, lambda *_: False)
-    return _grouped(taken, lambda path: path.name in listed.get(path.parent, ()))
+    taken, left = _preferred(found, lambda *_: False)
+    return _grouped(taken, lambda path: path.name in listed.get(path.parent, ())), left
 
 
 def _grouped(files: Iterable[_P], may_join: Callable[[_P], bool]) -> list[list[_P]]:

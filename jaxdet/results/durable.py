@@ -14,7 +14,7 @@ import os
 import secrets
 import shutil
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -81,9 +81,7 @@ def _flush(path: Path) -> None:
         os.close(handle)
 
 
-def publish(
-    staged: Path, results: Path, name: str, unless: Callable[[], bool] = lambda: False
-) -> bool:
+def publish(staged: Path, results: Path, name: str) -> None:
     """Move a staged folder to the path of a log's results; an older folder is removed.
 
     Args:
@@ -91,10 +89,6 @@ def publish(
             (:func:`flush_folder`).
         results: Results folder.
         name: Name of the log's folder.
-        unless: Called if there is a folder already; returns whether to keep the old folder.
-
-    Returns:
-        Whether the folder was moved to its place.
 
     Raises:
         OutputError: The disk is full or broken; the complete old or new folder remains.
@@ -102,8 +96,6 @@ def publish(
     place = results / name
     with writing(place):
         while not rename_if_absent(staged, place):
-            if unless():
-                return False
             if exchange(staged, place):
                 remove(staged)
                 break
@@ -113,7 +105,6 @@ def publish(
                 os.rename(place, aside / name)
         flush(results)
         finish(results)
-    return True
 
 
 def finish(results: Path) -> None:

@@ -172,7 +172,7 @@ class LogSummary(Counts):
         if not (self.floor_sources["tf"] or self.floor_sources["none"]):
             return ""
         if any(ROLL_FLAG in text for text in self.warnings):
-            return f"the camera looks mounted otherwise, as the warning with {ROLL_FLAG} says"
+            return f"the camera may be mounted in another way, see the warning with {ROLL_FLAG}"
         if not self.floor_sources["tf"]:
             return ""
         mount = next((record for record in self.ground if record.pitch_rad is not None), None)

@@ -160,7 +160,7 @@ def test_logs_of_a_bucket_are_listed(stores):
     assert json.loads(json.dumps(logs)) == logs
     assert logs["day/a"]["name"] == "day--a" and size_of(logs["b"]) == 6
     notes = filter(None, (log.get("remarks", {}).get("note") for log in logs.values()))
-    assert [*notes] == ["b.bag is left out: the same recording exists in another format"]
+    assert [*notes] == ["b.bag is left out: the same recording exists as .mcap"]
 
 
 LISTED = "rosbag2_bagfile_information:\n  relative_file_paths:\n"

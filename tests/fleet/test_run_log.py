@@ -52,6 +52,18 @@ def test_each_log_is_run_once(stores, engine, how, put, tmp_path):
     assert not [e.key for e in open_place(RESULTS).list() if "attempts" in e.key]
 
 
+def test_a_disk_that_fails_does_not_count_as_a_death(engine, how, put, tmp_path):
+    put(str(tmp_path / "logs"), a="a")
+    log, staged = list_logs(tmp_path / "logs")[0], tmp_path / "results/.fleet/staged"
+    ready = prepare(tmp_path / "results", how)
+    staged.write_text("not a folder", encoding="utf-8")
+    with pytest.raises(OutputError):
+        run_log(log, tmp_path / "results", ready)
+    assert not [*(staged.parent / "a/attempts").glob("*/*")]
+    staged.unlink()
+    assert run_log(log, tmp_path / "results", ready)["state"] == "done"
+
+
 def test_update_runs_failed_and_changed_logs_again(stores, engine, how, put, tmp_path):
     put(LOGS, a="a", b="b", c="fail")
     run_fleet([LOGS], RESULTS, how)
