@@ -136,13 +136,8 @@ def _recording(
     cameras = Cameras(_camera(K, size, color), _camera(K, size, depth))
     world = zip(stamps.tolist(), _Z_UP @ poses, strict=False)
     posed = [Pose.of_matrix(stamp_ns, T) for stamp_ns, T in world if np.isfinite(T).all()]
-    note = ""
-    if lost:
-        note = (
-            f"{folder.absolute().name}: {len(lost)} depth images without a timestamp are left out"
-        )
-        note += f", for example {lost[0]}"
-    return Recording(color, depth, cameras, posed, note)
+    note = f"{len(lost)} depth images without a timestamp are left out, for example "
+    return Recording(color, depth, cameras, posed, note + lost[0] if lost else "")
 
 
 def _images(
