@@ -209,4 +209,3 @@ def test_the_search_for_a_time_reads_few_frames():
         start = f"{10 * first / 1e9:.9f}"
         assert find_part(10, 10**6, stamp_ns, start, None, 1, "log") == range(first, 10**6)
         assert len(seen) <= 21
-    assert find_part(0, 0, stamp_ns, "1", None, 1, "log") == range(0)
