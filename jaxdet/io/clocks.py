@@ -17,7 +17,7 @@ from jaxdet.io.chunks import MAX_TIME_NS
 from jaxdet.io.moments import EPOCH, MICROSECOND
 from jaxdet.io.streams import NUM_PROBES
 
-LEAST_NS = 500_000_000
+MIN_STEP_NS = 500_000_000
 """Minimum difference between clocks that is corrected [ns]. Smaller ones may also be due to images
 that were delayed, odometry that was computed late, or future-dated transforms."""
 _LATENCY_S = 0.2
@@ -53,7 +53,7 @@ class _Difference(NamedTuple):
     @property
     def offset_ns(self) -> int:
         """Offset between two clocks [ns]; 0 if it may be the same clock."""
-        return self.ns if self.is_steady and LEAST_NS < abs(self.ns) <= MAX_TIME_NS else 0
+        return self.ns if self.is_steady and MIN_STEP_NS < abs(self.ns) <= MAX_TIME_NS else 0
 
     @property
     def is_doubtful(self) -> bool:
@@ -117,7 +117,7 @@ def read_clock(
     delays = np.empty_like(stamps)
     delays[arrival] = stamps[arrival] - _without_jumps(log_ns[index[arrival]])
     order = np.argsort(delays, kind="stable")
-    ends = np.flatnonzero(np.diff(delays[order]) > LEAST_NS) + 1
+    ends = np.flatnonzero(np.diff(delays[order]) > MIN_STEP_NS) + 1
     groups = sorted(np.split(order, ends), key=len, reverse=True)[:_MAX_GROUPS]
     levels = [int(delays[group[len(group) // 2]]) for group in groups]
     is_rare = [len(group) < _MIN_SHARE * len(stamps) for group in groups]
@@ -125,7 +125,7 @@ def read_clock(
     moved, shifts, texts = stamps.copy(), [], []
     for level, group in zip(levels, groups, strict=True):
         shift = levels[right] - level
-        shift = next((one for one in shifts_ns if abs(one - shift) <= LEAST_NS), shift)
+        shift = next((one for one in shifts_ns if abs(one - shift) <= MIN_STEP_NS), shift)
         low, high = (int(end) + shift for end in (stamps[group].min(), stamps[group].max()))
         if not shift or low < 0 or high > MAX_TIME_NS:
             continue
@@ -159,7 +159,7 @@ def jumps(log_ns: np.ndarray) -> np.ndarray:
         ``(N - 1,)`` bool.
     """
     steps = np.diff(log_ns)
-    return (steps < -LEAST_NS) | (steps > _YEAR_NS)
+    return (steps < -MIN_STEP_NS) | (steps > _YEAR_NS)
 
 
 def find_offset(
@@ -194,7 +194,7 @@ def find_offset(
         text += "its messages and depth images with equal timestamps were recorded "
         text += f"{seconds:.1f} s apart (median); if their timestamps are from two clocks, "
         text += "messages of another time are used"
-        return Offset(0, text if abs(least.ns) > LEAST_NS else "")
+        return Offset(0, text if abs(least.ns) > MIN_STEP_NS else "")
     if all(one.offset_ns for one in every):
         text += f"its clock is {seconds:.3f} s {way} depth's, by the log times; this is corrected "
         return Offset(least.ns, f"{text}({flag} 0 disables the correction)")

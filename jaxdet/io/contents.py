@@ -1,6 +1,6 @@
 """Contents of a log from its messages: the first images of each topic, and all small messages.
 
-A transform or pose takes 64 bytes of memory; pixels are not stored.
+A transform or pose takes 72 bytes of memory; pixels are not stored.
 """
 
 from contextlib import suppress

@@ -36,7 +36,7 @@ _INFRARED = {"ir", "infra", "infra1"}
 pair."""
 _NOT_COLOR = {"depth", "confidence", "infra2", "mask"} | _INFRARED
 _NOT_DEPTH = {"confidence", "infra2", "amplitude"} | _INFRARED
-_BESIDE_DEPTH = _COLOR_WORDS | _NOT_DEPTH | {"mask"}
+_OTHER_IMAGES = _COLOR_WORDS | _NOT_DEPTH | {"mask"}
 """Words for other images of a depth camera, if the topic also has the word depth."""
 _PICTURES = {"colored", "coloured", "colorized", "colormap", "heatmap", "overlay", "preview"}
 _PICTURES |= {"vis", "viz", "visual", "visualization", "visualisation", "display"}
@@ -298,7 +298,7 @@ def _says_aligned(topic: str) -> bool:
 
 def _is_named(topic: str) -> bool:
     """Return whether the images of a topic must be depth, according to its name."""
-    if not _says_aligned(topic) and _words(topic) & _BESIDE_DEPTH:
+    if not _says_aligned(topic) and _words(topic) & _OTHER_IMAGES:
         return False
     parts = map(_words, topic.split("/"))
     return any("depth" in words and not words & _DEVICES for words in parts)

@@ -45,9 +45,10 @@ class ImageFiles(NamedTuple):
         Raises:
             InputError: Several subfolders have files.
         """
-        names = sorted(os.listdir(folder)) if self.folders else []
-        parts = [folder / name for name in names if name.lower() in self.folders]
-        parts = [part for part in parts if part.is_dir()] if self.folders else [folder]
+        parts = [folder]
+        if self.folders:
+            names = [name for name in os.listdir(folder) if name.lower() in self.folders]
+            parts = [folder / name for name in sorted(names) if (folder / name).is_dir()]
         if len(parts) > 1:
             problem = f"several folders of images: {', '.join(part.name for part in parts)}"
             raise InputError(problem, path=str(folder), remedy="keep one")
