@@ -57,7 +57,6 @@ def parse_moment(text: str, flag: str) -> Moment:
 
 
 def find_part(
-    begin_ns: int,
     count: int,
     stamp_ns: Callable[[int], int],
     start: str | None,
@@ -68,7 +67,6 @@ def find_part(
     """Return the numbers of the frames in a time range.
 
     Args:
-        begin_ns: Start of the log's time axis [ns].
         count: Number of frames, at least 1.
         stamp_ns: Function that returns the timestamp of a frame [ns]; timestamps are in order.
         start: Start time, see :func:`parse_moment`; None: the start of the log.
@@ -82,14 +80,14 @@ def find_part(
     ends = [0, count]
     for side, text in enumerate((start, stop)):
         if text is not None:
-            wanted = parse_moment(text, "").stamp_ns(begin_ns)
+            wanted = parse_moment(text, "").stamp_ns(stamp_ns(0))
             ends[side] = bisect_left(range(count), wanted, key=stamp_ns)
     found = range(-(-ends[0] // every) * every, ends[1], every)
     if not found:
         flags = f"--start {start}" if start is not None else ""
         flags += f" --stop {stop}" if stop is not None else ""
         flags += f" --every {every}" if every > 1 else ""
-        last_ns = stamp_ns(count - 1)
+        begin_ns, last_ns = stamp_ns(0), stamp_ns(count - 1)
         times = [EPOCH + ns // 1000 * MICROSECOND for ns in (begin_ns, last_ns)]
         first, last = (f"{time:%Y-%m-%dT%H:%M:%S.%f}"[:-3] + "Z" for time in times)
         remedy = f"the log has {count} depth images from 0 to {(last_ns - begin_ns) / 1e9:.3f} s, "
