@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxdet.errors import printable
-from jaxdet.io.chunks import MAX_TIME_NS
+from jaxdet.io.message_fields import MAX_STAMP_S
 from jaxdet.io.moments import EPOCH, MICROSECOND
 from jaxdet.io.streams import NUM_PROBES
 
@@ -37,6 +37,8 @@ _MAX_GROUPS = 16
 _MIN_SHARE = 0.05
 """Minimum fraction of a topic's timestamps from which on their clock may be the right one."""
 _YEAR_NS = 365 * 24 * 3600 * 1_000_000_000
+_MAX_NS = MAX_STAMP_S * 1_000_000_000
+"""Largest timestamp [ns]; damaged times may differ by more than 64 bits."""
 
 
 class _Difference(NamedTuple):
@@ -53,7 +55,7 @@ class _Difference(NamedTuple):
     @property
     def offset_ns(self) -> int:
         """Offset between two clocks [ns]; 0 if it may be the same clock."""
-        return self.ns if self.is_steady and MIN_STEP_NS < abs(self.ns) <= MAX_TIME_NS else 0
+        return self.ns if self.is_steady and MIN_STEP_NS < abs(self.ns) <= _MAX_NS else 0
 
     @property
     def is_doubtful(self) -> bool:
@@ -127,7 +129,7 @@ def read_clock(
         shift = levels[right] - level
         shift = next((one for one in shifts_ns if abs(one - shift) <= MIN_STEP_NS), shift)
         low, high = (int(end) + shift for end in (stamps[group].min(), stamps[group].max()))
-        if not shift or low < 0 or high > MAX_TIME_NS:
+        if not shift or low < 0 or high > _MAX_NS:
             continue
         trial = moved.copy()
         trial[group] += shift
@@ -137,7 +139,7 @@ def read_clock(
             texts.append(_group_text(stamps_ns[np.isin(inverse, group)], shift))
     found = moved[inverse]
     unset = (stamps_ns == 0) & (found != 0)
-    found[unset] = np.maximum(log_ns[unset] + levels[right], 0)
+    found[unset] = np.clip(log_ns[unset] + levels[right], 0, _MAX_NS)
     first = arrival[np.isin(arrival, groups[right])][: int((index < num_first).sum())]
     text = ""
     if not set(shifts) <= set(shifts_ns):
