@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxdet.io import LogOptions, open_log
+from jaxdet.io.chunks import MAX_TIME_NS
 from jaxdet.io.clocks import read_clock
 from jaxdet.sim import SimConfig, write_log
 from tests.io_helpers import (
@@ -227,3 +228,20 @@ def test_timestamps_that_occur_twice_since_a_clock_was_adjusted_are_different(
         clock = read_clock("/a", wrong, stamps, 8, content=content)
         np.testing.assert_array_equal(clock.stamps_ns, stamps)
         assert "300 timestamps, 200 are" in clock.text
+
+
+@pytest.mark.filterwarnings("error")
+def test_damaged_times_are_no_faults(tmp_path: Path) -> None:
+    """Differences of such times exceed 64 bits."""
+    stamps, log_ns = np.array([2**62, 2**62, 1, 5]), np.array([0, 2**62, MAX_TIME_NS, 1])
+    assert (read_clock("/a", stamps, log_ns, 8).stamps_ns >= 0).all()
+    scene = make_scene(8)
+    with LogFile(tmp_path / "x.mcap") as log:
+        write_calibration(log)
+        for number in range(8):
+            image = ros_image(scene.depth[number], "16UC1", START + number, DEPTH_FRAME)
+            log.ros(DEPTH, image, number)
+            image = ros_image(scene.color[number], "rgb8", 1 + number, COLOR_FRAME)
+            log.ros(COLOR, image, MAX_TIME_NS - 8 + number)
+    with open_log(str(tmp_path / "x.mcap")) as found:
+        assert len(found) == 8

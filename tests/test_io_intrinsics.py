@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from jaxdet.errors import CalibrationError, ConfigError
-from jaxdet.io.intrinsics import CameraSource, find_intrinsics, is_rectified
+from jaxdet.io.intrinsics import CameraSource, find_intrinsics
 from jaxdet.io.messages import CameraInfoMessage
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageSize
+from jaxdet.io.topics import is_rectified
 from jaxdet.types import Distortion
 
 K = (600.0, 0.0, 320.0, 0.0, 601.0, 240.0, 0.0, 0.0, 1.0)

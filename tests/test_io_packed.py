@@ -80,7 +80,7 @@ def test_compressed_files_are_read(tmp_path, form, ending):
 @pytest.mark.parametrize("form", FORMS)
 def test_files_are_read_by_their_content_not_their_suffix(tmp_path, form, ending):
     packed = packed_file(write(tmp_path, form), ending)
-    for name in ("x.mcap", "x.bag", "x.db3"):
+    for name in ("x.mcap", "x.bag", "x.db3", "x", f"x{ending}"):
         with open_log(str(packed.rename(packed.with_name(name)))) as log:
             np.testing.assert_array_equal(depths(log), SCENE.depth)
         packed = packed.with_name(name)

@@ -207,6 +207,5 @@ def test_the_search_for_a_time_reads_few_frames():
     for first in (0, 1, 7, 500_000, 999_999):
         seen.clear()
         start = f"{10 * first / 1e9:.9f}"
-        assert find_part(10, 10**6, stamp_ns, start, None, 1, "log") == range(first, 10**6)
+        assert find_part(10**6, stamp_ns, start, None, 1, "log") == range(first, 10**6)
         assert len(seen) <= 21
-    assert find_part(0, 0, stamp_ns, "1", None, 1, "log") == range(0)

@@ -13,12 +13,19 @@ from jaxdet.io.body_frames import T_BODY_OPTICAL, body_frame_text, optical_frame
 from jaxdet.io.contents import LogContents
 from jaxdet.io.extrinsics import find_extrinsics
 from jaxdet.io.folders.basic import LISTED_DEPTH
-from jaxdet.io.intrinsics import CameraSource, Found, find_intrinsics, is_rectified
+from jaxdet.io.intrinsics import CameraSource, Found, find_intrinsics
 from jaxdet.io.messages import CameraInfoMessage, Kind
 from jaxdet.io.namespaces import affinity
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageStream
-from jaxdet.io.topics import NO_COLOR_TOPIC, Choice, camera_name, is_color_name, listed
+from jaxdet.io.topics import (
+    NO_COLOR_TOPIC,
+    Choice,
+    camera_name,
+    is_color_name,
+    is_rectified,
+    listed,
+)
 from jaxdet.types import Calibration, Extrinsics, Intrinsics
 
 DEPTH_UNIT_M = 0.001

@@ -8,16 +8,16 @@ the difference of their median delays.
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxdet.errors import printable
+from jaxdet.io.message_fields import MAX_STAMP_S
 from jaxdet.io.moments import EPOCH, MICROSECOND
 from jaxdet.io.streams import NUM_PROBES
 
-LEAST_NS = 500_000_000
+MIN_STEP_NS = 500_000_000
 """Minimum difference between clocks that is corrected [ns]. Smaller ones may also be due to images
 that were delayed, odometry that was computed late, or future-dated transforms."""
 _LATENCY_S = 0.2
@@ -37,6 +37,8 @@ _MAX_GROUPS = 16
 _MIN_SHARE = 0.05
 """Minimum fraction of a topic's timestamps from which on their clock may be the right one."""
 _YEAR_NS = 365 * 24 * 3600 * 1_000_000_000
+_MAX_NS = MAX_STAMP_S * 1_000_000_000
+"""Largest timestamp [ns]; damaged times may differ by more than 64 bits."""
 
 
 class _Difference(NamedTuple):
@@ -53,7 +55,7 @@ class _Difference(NamedTuple):
     @property
     def offset_ns(self) -> int:
         """Offset between two clocks [ns]; 0 if it may be the same clock."""
-        return self.ns if self.is_steady and abs(self.ns) > LEAST_NS else 0
+        return self.ns if self.is_steady and MIN_STEP_NS < abs(self.ns) <= _MAX_NS else 0
 
     @property
     def is_doubtful(self) -> bool:
@@ -117,31 +119,34 @@ def read_clock(
     delays = np.empty_like(stamps)
     delays[arrival] = stamps[arrival] - _without_jumps(log_ns[index[arrival]])
     order = np.argsort(delays, kind="stable")
-    ends = [*(np.flatnonzero(np.diff(delays[order]) > LEAST_NS) + 1).tolist(), len(order)]
-    groups = [order[begin:end] for begin, end in pairwise([0, *ends])]
-    groups = sorted(groups, key=len, reverse=True)[:_MAX_GROUPS]
+    ends = np.flatnonzero(np.diff(delays[order]) > MIN_STEP_NS) + 1
+    groups = sorted(np.split(order, ends), key=len, reverse=True)[:_MAX_GROUPS]
     levels = [int(delays[group[len(group) // 2]]) for group in groups]
-    share = [len(group) >= _MIN_SHARE * len(stamps) for group in groups]
-    right = min(range(len(groups)), key=lambda n: (not share[n], abs(levels[n])))
+    is_rare = [len(group) < _MIN_SHARE * len(stamps) for group in groups]
+    right = min(range(len(groups)), key=lambda n: (is_rare[n], abs(levels[n])))
     moved, shifts, texts = stamps.copy(), [], []
     for level, group in zip(levels, groups, strict=True):
         shift = levels[right] - level
-        shift = next((one for one in shifts_ns if abs(one - shift) <= LEAST_NS), shift)
+        shift = next((one for one in shifts_ns if abs(one - shift) <= MIN_STEP_NS), shift)
+        low, high = (int(end) + shift for end in (stamps[group].min(), stamps[group].max()))
+        if not shift or low < 0 or high > _MAX_NS:
+            continue
         trial = moved.copy()
         trial[group] += shift
-        if shift and _unevenness(moved) - _unevenness(trial) > abs(shift) / 2:
+        if _unevenness(moved) - _unevenness(trial) > abs(shift) / 2:
             moved = trial
             shifts.append(shift)
             texts.append(_group_text(stamps_ns[np.isin(inverse, group)], shift))
     found = moved[inverse]
     unset = (stamps_ns == 0) & (found != 0)
-    found[unset] = log_ns[unset] + levels[right]
+    found[unset] = np.clip(log_ns[unset] + levels[right], 0, _MAX_NS)
     first = arrival[np.isin(arrival, groups[right])][: int((index < num_first).sum())]
-    which = f"{printable(topic)}: of {len(stamps_ns)} timestamps, {' and '.join(texts)}"
-    text = f"{which}, by the log times: its clock was set or adjusted during the recording; these "
-    text += "timestamps are moved, as are those of other topics with this clock"
-    is_new = not set(shifts) <= set(shifts_ns)
-    return Clock(topic, found, delays[first], tuple(shifts), text if is_new else "")
+    text = ""
+    if not set(shifts) <= set(shifts_ns):
+        text = f"{printable(topic)}: of {len(stamps_ns)} timestamps, {' and '.join(texts)}, by the "
+        text += "log times: its clock was set or adjusted during the recording; these timestamps "
+        text += "are moved, as are those of other topics with this clock"
+    return Clock(topic, found, delays[first], tuple(shifts), text)
 
 
 def jumps(log_ns: np.ndarray) -> np.ndarray:
@@ -156,7 +161,7 @@ def jumps(log_ns: np.ndarray) -> np.ndarray:
         ``(N - 1,)`` bool.
     """
     steps = np.diff(log_ns)
-    return (steps < -LEAST_NS) | (steps > _YEAR_NS)
+    return (steps < -MIN_STEP_NS) | (steps > _YEAR_NS)
 
 
 def find_offset(
@@ -185,12 +190,22 @@ def find_offset(
     if not every or not all(one.is_doubtful for one in every):
         return Offset()
     clock, least = min(zip(sources, found[0], strict=True), key=lambda item: abs(item[1].ns))
+    seconds, way = abs(least.ns) / 1e9, "ahead of" if least.ns > 0 else "behind"
+    text = f"{printable(clock.topic)}: "
     if any(_stamps_agree(images[0], one) for one in sources):
-        return Offset(0, _late(clock.topic, least) if abs(least.ns) > LEAST_NS else "")
-    if not all(one.offset_ns for one in every):
-        known = min(one.num_delays for one in every) >= _FEW_DELAYS
-        return Offset(0, _doubt(clock.topic, least, flag) if known else "")
-    return Offset(least.ns, _text(clock.topic, least.ns, flag))
+        text += "its messages and depth images with equal timestamps were recorded "
+        text += f"{seconds:.1f} s apart (median); if their timestamps are from two clocks, "
+        text += "messages of another time are used"
+        return Offset(0, text if abs(least.ns) > MIN_STEP_NS else "")
+    if all(one.offset_ns for one in every):
+        text += f"its clock is {seconds:.3f} s {way} depth's, by the log times; this is corrected "
+        return Offset(least.ns, f"{text}({flag} 0 disables the correction)")
+    if min(one.num_delays for one in every) < _FEW_DELAYS:
+        return Offset()
+    text += f"by the log times, its timestamps are {seconds:.2f} s {way} depth's (within "
+    text += f"{_SIGMAS * least.error_ns / 1e9:.2f} s by their jitter), which is not corrected; if "
+    text += f"its clock differs, pass {flag} {least.ns / 1e9:.2f}, or 0 if its messages are only "
+    return Offset(0, f"{text}published early or late")
 
 
 def _without_jumps(log_ns: np.ndarray) -> np.ndarray:
@@ -199,8 +214,9 @@ def _without_jumps(log_ns: np.ndarray) -> np.ndarray:
     odd = jumps(log_ns)
     if not odd.any():
         return log_ns
-    times = np.cumsum(np.append(0, np.where(odd, max(0, int(np.median(steps))), steps)))
-    return times + (log_ns[-1] - times[-1])
+    usual = int(np.clip(np.median(steps), 0, _YEAR_NS))
+    times = np.cumsum(np.append(0, np.where(odd, usual, steps)))
+    return times + (log_ns[-1:] - times[-1:])
 
 
 def _unevenness(stamps_ns: np.ndarray) -> float:
@@ -242,26 +258,3 @@ def _stamps_agree(depth: Clock, color: Clock) -> bool:
         return False
     apart = np.abs(one[:, None] - other[None]).min(axis=1)
     return bool((apart <= _AGREE_NS).mean() >= 0.5)
-
-
-def _text(topic: str, offset_ns: int, flag: str) -> str:
-    way = "ahead of" if offset_ns > 0 else "behind"
-    seconds = abs(offset_ns) / 1e9
-    text = f"{printable(topic)}: its clock is {seconds:.3f} s {way} depth's, by the log times"
-    return f"{text}; this is corrected ({flag} 0 disables the correction)"
-
-
-def _doubt(topic: str, found: _Difference, flag: str) -> str:
-    """Return the warning about a difference that is not corrected."""
-    way, error_s = "ahead of" if found.ns > 0 else "behind", _SIGMAS * found.error_ns / 1e9
-    text = f"{printable(topic)}: by the log times, its timestamps are {abs(found.ns) / 1e9:.2f} s "
-    text += f"{way} depth's (within {error_s:.2f} s by their jitter), which is not corrected; if "
-    text += f"its clock differs, pass {flag} {found.ns / 1e9:.2f}, or 0 if its messages are only "
-    return f"{text}published early or late"
-
-
-def _late(topic: str, found: _Difference) -> str:
-    """Return the warning about a topic whose timestamps agree with those of depth."""
-    text = f"{printable(topic)}: its messages and depth images with equal timestamps were recorded "
-    text += f"{abs(found.ns) / 1e9:.1f} s apart (median); if their timestamps are from two clocks, "
-    return f"{text}messages of another time are used"

@@ -1,6 +1,6 @@
 """Contents of a log from its messages: the first images of each topic, and all small messages.
 
-A transform or pose takes 64 bytes of memory; pixels are not stored.
+A transform or pose takes 72 bytes of memory; pixels are not stored.
 """
 
 from contextlib import suppress
@@ -320,14 +320,11 @@ def image_stamps(decoder: MessageDecoder, payload: memoryview) -> tuple[int, int
 
 def _see_depth(stream: ImageStream, image: ImageMessage | CompressedImageMessage) -> None:
     """Add the median of the image to those of the stream if it is one of the first with depth."""
-    if len(stream.typical) == NUM_TYPICAL:
-        return
-    if (
-        is_depth_encoding(image.encoding)
-        if isinstance(image, ImageMessage)
-        else is_depth_file(image, stream.topic)
-    ):
+    if isinstance(image, ImageMessage):
+        is_depth = is_depth_encoding(image.encoding)
+    else:
+        is_depth = is_depth_file(image, stream.topic)
+    if is_depth and len(stream.typical) < NUM_TYPICAL:
         with suppress(FrameError):  # damage is reported when the frames are read
             value = typical_depth(image)
-            if np.isfinite(value):
-                stream.typical.append(value)
+            stream.typical += [value] if np.isfinite(value) else []

@@ -100,12 +100,13 @@ class LogDescription(NamedTuple):
 
 
 def describe(
-    files: LogFiles, contents: LogContents, found: Findings, numbers: range, first_ns: int
+    files: LogFiles, contents: LogContents, found: Findings, numbers: range
 ) -> LogDescription:
-    """Describe a log with the selected frame ``numbers``; its time axis starts at ``first_ns``."""
+    """Describe a log with the selected frame ``numbers``."""
     warnings = [*contents.warnings, *found.warnings]
     warnings += [*found.calibrated.warnings, *found.frames.source.warnings, *found.cameras.warnings]
     count, color = found.frames.num_frames, found.choice.color
+    duration_ns = found.frames.stamp_ns(count - 1) - found.frames.stamp_ns(0)
     return LogDescription(
         name=files.name,
         paths=tuple(str(path) for path in files.paths),
@@ -114,8 +115,8 @@ def describe(
         cameras=found.cameras.lines,
         cameras_left_out=tuple(map(printable, found.cameras.left_out)),
         num_frames=count,
-        part=_part_text(numbers, found.frames, first_ns),
-        duration_s=(found.frames.stamp_ns(count - 1) - first_ns) / 1e9,
+        part=_part_text(numbers, found.frames),
+        duration_s=duration_ns / 1e9,
         topics=describe_topics(contents, color if found.frames.color else "", found.choice.depth),
         choices=found.choice.reasons,
         calibration=found.calibrated.origins,
@@ -199,16 +200,16 @@ def describe_topics(
     return tuple(found)
 
 
-def _part_text(numbers: range, frames: IndexedFrames, first_ns: int) -> str:
+def _part_text(numbers: range, frames: IndexedFrames) -> str:
     """Return numbers and times of the selected frames as text; empty if all are selected."""
     if len(numbers) == frames.num_frames:
         return ""
     which = f"{len(numbers)} of {frames.num_frames} frames, {numbers[0]} to {numbers[-1]}"
     if numbers.step > 1:
         which += f", multiples of {numbers.step}"
-    ends = (frames.stamp_ns(number) for number in (numbers[0], numbers[-1]))
-    times = [max(0, ns - first_ns) / 1e9 for ns in ends]
-    return f"{which}, {times[0]:.2f} to {times[1]:.2f} s"
+    start, *ends = (frames.stamp_ns(number) for number in (0, numbers[0], numbers[-1]))
+    first_s, last_s = ((end - start) / 1e9 for end in ends)
+    return f"{which}, {first_s:.2f} to {last_s:.2f} s"
 
 
 def _pairing(notes: Notes, tolerance_s: float) -> PairingDescription:

@@ -44,6 +44,7 @@ _OTHERS = {
 _ARCHIVES = dict.fromkeys((".tar", ".tgz", ".zip", ".7z", ".rar"), "unpack it")
 _ARCHIVES |= dict.fromkeys((".xz", ".lz4"), "decompress it")
 """Files that may contain a recording, with remedies; next to a recording they are ignored."""
+_UNSUPPORTED = _OTHERS | _ARCHIVES
 _PNG = "export it as 16-bit PNG in millimetres; jaxdet help logs shows how to convert OpenEXR"
 EXPORTED = ".jaxdet.mcap"
 """End of the names of files exported for Foxglove and ROS 2. They are recognised by name, since
@@ -198,9 +199,9 @@ def missing_splits(log: LogFiles) -> tuple[int, ...]:
     gaps = (range(one + 1, other) for one, other in pairwise(sorted(numbers)))
     folder = log.paths[0].parent
     listed = {folder / name for name in listed_files(folder)}
-    gone = () if listed.isdisjoint(log.paths) else (one for one in listed if not one.exists())
-    between = islice(chain.from_iterable(gaps), _MAX_MISSING)
-    return tuple(sorted({*between, *(_split(path)[1] for path in gone)}))
+    gone = {_split(path)[1] for path in listed if not path.exists()}
+    gone = set() if listed.isdisjoint(log.paths) else gone - {-1}
+    return tuple(sorted({*islice(chain.from_iterable(gaps), _MAX_MISSING), *gone}))
 
 
 def siblings(log: LogFiles) -> tuple[Path, ...]:
@@ -246,7 +247,7 @@ def _seen(text: str, skipped: list[Path]) -> list[Path]:
 
 
 def _files(text: str) -> tuple[list[Path], str]:
-    """Return the readable files of an input, at least one, and a note on files left out."""
+    """Return the readable files of an input, at least one, and a warning about the others."""
     if Path(text).name == "metadata.yaml" and Path(text).is_file():
         text = str(Path(text).parent)  # metadata.yaml of rosbag2 names the files in its folder
     path, seen, rest, above = Path(text), list[Path](), list[Path](), list[Path]()
@@ -261,7 +262,8 @@ def _files(text: str) -> tuple[list[Path], str]:
     found = [file for file in seen if _is_recording(file) and not _is_export(file)]
     if path.is_file():
         for ending, remedy in others.values():
-            raise InputError(f"{ending} files are not supported", path=text, remedy=remedy)
+            if ending not in PACKED:  # otherwise the content shows whether it is a recording
+                raise InputError(f"{ending} files are not supported", path=text, remedy=remedy)
         return seen, ""
     places = {file.parent for file in found}
     images = image_folders(seen)
@@ -307,11 +309,11 @@ def _unsupported(file: Path) -> tuple[str, str]:
     """Return the ending of an unsupported recording or archive, and its remedy; else empty."""
     if _is_recording(file):
         return "", ""
-    bare, known = bare_name(file), _OTHERS | _ARCHIVES
-    if not bare.suffix and bare != file:
-        return file.suffix, f"rename the recording to NAME.mcap{file.suffix}"
-    ending = next((ending for ending in known if bare.name.lower().endswith(ending)), "")
-    return ending, known.get(ending, "")
+    bare, suffix = bare_name(file), file.suffix.lower()
+    if suffix in PACKED and not bare.suffix:
+        return suffix, f"rename the recording to NAME.mcap{suffix}"
+    ending = next((end for end in _UNSUPPORTED if bare.name.lower().endswith(end)), "")
+    return ending, _UNSUPPORTED.get(ending, "")
 
 
 def _nothing(

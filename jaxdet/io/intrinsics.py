@@ -1,6 +1,5 @@
 """Intrinsics from CameraInfo and CameraCalibration messages."""
 
-import re
 from typing import NamedTuple
 
 import numpy as np
@@ -34,11 +33,6 @@ _EQUAL_PX = 0.5
 """Maximum difference between equal camera matrices [pixel]."""
 _Matrix = tuple[float, float, float, float]
 """fx fy cx cy of a camera matrix [pixel]."""
-
-
-def is_rectified(topic: str) -> bool:
-    """Return whether images are rectified, according to the name of their topic."""
-    return any(word.startswith("rect") for word in re.split("[/_]", topic.lower()))
 
 
 class CameraSource(NamedTuple):

@@ -115,15 +115,14 @@ class Log:
         several = len(found.cameras.names) > 1
         self.label = f"{self.name}, {self.camera}" if several else self.name
         part = options.start, options.stop, options.every
-        begin_ns = frames.stamp_ns(0)
         if part != (None, None, 1):
             frames.check_clocks()
-        self.frames = find_part(begin_ns, self.num_frames, frames.stamp_ns, *part, self._path)
+        self.frames = find_part(self.num_frames, frames.stamp_ns, *part, self._path)
         depth, image = self.calibration.depth, self.calibration.image
         about_mask = self.camera, found.cameras.names, (depth.width, depth.height), self._path
         hidden = hidden_pixels(options.mask, *about_mask)
         found = found._replace(warnings=(*found.warnings, *mask_doubts(hidden)))
-        self.description = describe(files, contents, found, self.frames, begin_ns)
+        self.description = describe(files, contents, found, self.frames)
         if frames.depth.is_complete:
             self.description = self.described(self._window(0, self.num_frames).notes)
         unit, limit = about.unit_in_floats, options.max_pixels

@@ -57,7 +57,6 @@ def parse_moment(text: str, flag: str) -> Moment:
 
 
 def find_part(
-    begin_ns: int,
     count: int,
     stamp_ns: Callable[[int], int],
     start: str | None,
@@ -68,8 +67,7 @@ def find_part(
     """Return the numbers of the frames in a time range.
 
     Args:
-        begin_ns: Start of the log's time axis [ns].
-        count: Number of frames.
+        count: Number of frames, at least 1.
         stamp_ns: Function that returns the timestamp of a frame [ns]; timestamps are in order.
         start: Start time, see :func:`parse_moment`; None: the start of the log.
         stop: End time, exclusive, in the same forms; None: the end of the log.
@@ -79,24 +77,20 @@ def find_part(
     Raises:
         InputError: No frame is selected.
     """
-    if not count:
-        return range(0)
     ends = [0, count]
     for side, text in enumerate((start, stop)):
         if text is not None:
-            wanted = parse_moment(text, "").stamp_ns(begin_ns)
+            wanted = parse_moment(text, "").stamp_ns(stamp_ns(0))
             ends[side] = bisect_left(range(count), wanted, key=stamp_ns)
     found = range(-(-ends[0] // every) * every, ends[1], every)
     if not found:
-        asked = f"--start {start}" * (start is not None), f"--stop {stop}" * (stop is not None)
-        each = f"--every {every}" if every > 1 else ""
-        asked = " ".join(part for part in (*asked, each) if part)
-        remedy = f"the log has {count} depth images {_span(begin_ns, stamp_ns(count - 1))}"
-        raise InputError(f"no depth image matches {asked}", path=path, remedy=remedy)
+        flags = f"--start {start}" if start is not None else ""
+        flags += f" --stop {stop}" if stop is not None else ""
+        flags += f" --every {every}" if every > 1 else ""
+        begin_ns, last_ns = stamp_ns(0), stamp_ns(count - 1)
+        times = [EPOCH + ns // 1000 * MICROSECOND for ns in (begin_ns, last_ns)]
+        first, last = (f"{time:%Y-%m-%dT%H:%M:%S.%f}"[:-3] + "Z" for time in times)
+        remedy = f"the log has {count} depth images from 0 to {(last_ns - begin_ns) / 1e9:.3f} s, "
+        problem = f"no depth image matches {flags.lstrip()}"
+        raise InputError(problem, path=path, remedy=f"{remedy}{first} to {last}")
     return found
-
-
-def _span(first_ns: int, last_ns: int) -> str:
-    times = [EPOCH + ns // 1000 * MICROSECOND for ns in (first_ns, last_ns)]
-    texts = [f"{time:%Y-%m-%dT%H:%M:%S.%f}"[:-3] + "Z" for time in times]
-    return f"from 0 to {(last_ns - first_ns) / 1e9:.3f} s, {texts[0]} to {texts[1]}"

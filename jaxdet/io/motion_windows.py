@@ -26,7 +26,6 @@ from jaxdet.io.transforms import TransformTree
 
 _SLACK_NS = 250_000_000
 """Allowed deviation of delays from those found at opening [ns]."""
-_NONE = np.zeros(0, np.int64)
 _BESIDE = 8
 """Initial number of extra messages on each side of a window."""
 _MAX_MESSAGES = 20_000
@@ -123,12 +122,10 @@ class MotionWindows:
         chunks = self._messages.chunks(own)
         if self.whole:
             return source.at(stamps_ns, self._tree, self._tracks), chunks
-        known = self._first_samples(source)
-        moving = list(known)
-        delays = np.concatenate([_NONE, *(one.stamps_ns - one.log_ns for one in known.values())])
-        low, high = 0, 0
-        if len(delays):
-            low, high = int(delays.min()) - _SLACK_NS, int(delays.max()) + _SLACK_NS
+        first = self._first_samples(source)
+        delays = [one.stamps_ns - one.log_ns for one in first.values()]
+        low = min((int(some.min()) for some in delays), default=0) - _SLACK_NS
+        high = max((int(some.max()) for some in delays), default=0) + _SLACK_NS
         about = int(stamps_ns.min()) - high, int(stamps_ns.max()) - low
         around = np.searchsorted(log_ns, about)
         bound = [
@@ -139,8 +136,8 @@ class MotionWindows:
         while True:
             if bound[1] - bound[0] > _MAX_MESSAGES + own.stop - own.start:
                 raise self._odd("poses are too far apart")
-            samples = self._samples(bound, moving, low, high)
-            sides = self._missing(samples, moving, stamps_ns, bound, low, high)
+            samples = self._samples(bound, list(first), low, high)
+            sides = self._missing(samples, stamps_ns, bound, low, high)
             if not sides:
                 break
             bound[0] = max(0, bound[0] - beside * (0 in sides))
@@ -202,7 +199,6 @@ class MotionWindows:
     def _missing(
         self,
         samples: dict[str, MotionSamples],
-        moving: Sequence[str],
         stamps_ns: np.ndarray,
         bound: Sequence[int],
         low: int,
@@ -211,8 +207,7 @@ class MotionWindows:
         """Return the sides (0 before, 1 after) on which a motion lacks a sample."""
         log_ns, sides = self._messages.log_ns, set()
         first, last = int(stamps_ns.min()), int(stamps_ns.max())
-        for name in moving:
-            stamps = samples[name].stamps_ns
+        for stamps in (one.stamps_ns for one in samples.values()):
             if bound[0] > 0:
                 known = stamps > log_ns[bound[0] - 1] + high
                 if not (known & (stamps <= first)).any():

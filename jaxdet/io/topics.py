@@ -36,7 +36,7 @@ _INFRARED = {"ir", "infra", "infra1"}
 pair."""
 _NOT_COLOR = {"depth", "confidence", "infra2", "mask"} | _INFRARED
 _NOT_DEPTH = {"confidence", "infra2", "amplitude"} | _INFRARED
-_BESIDE_DEPTH = _COLOR_WORDS | _NOT_DEPTH | {"mask"}
+_OTHER_IMAGES = _COLOR_WORDS | _NOT_DEPTH | {"mask"}
 """Words for other images of a depth camera, if the topic also has the word depth."""
 _PICTURES = {"colored", "coloured", "colorized", "colormap", "heatmap", "overlay", "preview"}
 _PICTURES |= {"vis", "viz", "visual", "visualization", "visualisation", "display"}
@@ -121,7 +121,8 @@ def choose_topics(contents: LogContents, options: LogOptions) -> Choices:
             ambiguous; or a topic set in the options is unusable.
     """
     depths = _candidates(contents, options.depth, True)
-    prefer_rect = any(_is_rectified(item.topic) for item in _best(depths))
+    best = [item.topic for item in _best(depths)]
+    prefer_rect = any(is_rectified(topic) or "depth_registered" in topic for topic in best)
     without = options.color == NO_COLOR
     given = None if without else options.color
     colors = [] if without else _candidates(contents, given, False, prefer_rect)
@@ -174,6 +175,11 @@ def is_color_name(topic: str) -> bool:
     """Return whether a topic's name indicates colour, and not aligned depth."""
     words = _words(topic)
     return bool(words & _COLOR_WORDS) and not words & _DEPTH_WORDS
+
+
+def is_rectified(topic: str) -> bool:
+    """Return whether images are rectified, according to the name of their topic."""
+    return any(word.startswith("rect") for word in _words(topic))
 
 
 def _unreadable(contents: LogContents) -> dict[str, TopicError]:
@@ -292,14 +298,10 @@ def _says_aligned(topic: str) -> bool:
 
 def _is_named(topic: str) -> bool:
     """Return whether the images of a topic must be depth, according to its name."""
-    if not _says_aligned(topic) and _words(topic) & _BESIDE_DEPTH:
+    if not _says_aligned(topic) and _words(topic) & _OTHER_IMAGES:
         return False
     parts = map(_words, topic.split("/"))
     return any("depth" in words and not words & _DEVICES for words in parts)
-
-
-def _is_rectified(depth_topic: str) -> bool:
-    return "rect" in _words(depth_topic) or "depth_registered" in depth_topic
 
 
 def _candidates(
@@ -419,7 +421,8 @@ def _color_candidate(stream: ImageStream, prefer_rect: bool) -> Candidate | None
         return None  # 16-bit images may be thermal, confidence or depth
     grey = encoding.lower() in ("mono8", "8uc1", "mono16", "16uc1")
     tier = 2 if grey else 0 if named else 1
-    rank = (tier, int(stream.kind is Kind.COMPRESSED), int(("rect" in words) != prefer_rect))
+    is_other = is_rectified(stream.topic) != prefer_rect
+    rank = tier, int(stream.kind is Kind.COMPRESSED), int(is_other)
     why = "matched by name" if named else "matched by encoding"
     return Candidate(stream.topic, rank, f"{why} ({printable(encoding)})")
 

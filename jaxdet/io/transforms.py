@@ -104,8 +104,7 @@ class TransformTree:
         edge = self._edges.get(frame)
         if edge is None or edge.topic == topic:
             return topic in self._topics
-        is_moving = edge.fixed is None
-        return not is_moving and namespace_of(edge.topic) == namespace_of(topic)
+        return edge.fixed is not None and namespace_of(edge.topic) == namespace_of(topic)
 
     def add(
         self,
@@ -137,11 +136,10 @@ class TransformTree:
             if edge is None:
                 continue
             if not static:
-                if edge.topic != topic and not self._moves_to(topic, message, edge):
-                    continue
-                edge.once_is_static |= once_is_static
-                motion = message.translation, message.rotation
-                edge.samples.add(message.stamp_ns, *motion, log_ns, is_first=is_first)
+                if edge.topic == topic or self._changes_to(topic, message, edge):
+                    edge.once_is_static |= once_is_static
+                    motion = message.translation, message.rotation
+                    edge.samples.add(message.stamp_ns, *motion, log_ns, is_first=is_first)
                 continue
             T = motion_matrix(np.array(message.translation), np.array(message.rotation))
             if edge.fixed is None:
@@ -290,17 +288,18 @@ class TransformTree:
         self._warn(message.child, f"has two parents, {parents}; {used!r} is used")
         return self._edges[message.child] if used == message.parent else None
 
-    def _moves_to(self, topic: str, message: TransformMessage, edge: _Edge) -> bool:
+    def _changes_to(self, topic: str, message: TransformMessage, edge: _Edge) -> bool:
         """Return whether a moving frame that is on two topics is used from the second one.
 
-        The first topic is used, unless only the second one is named ``tf``.
+        In this case, the samples from the first one are dropped. The first topic is used, unless
+        only the second one is named ``tf``.
         """
         if edge.fixed is not None:
             return False
-        is_better = topic.endswith("/tf") and not edge.topic.endswith("/tf")
-        if not edge.samples.is_like(message, -1):
-            used = topic if is_better else edge.topic
-            self._warn(message.child, f"is on {edge.topic} and on {topic}; {used} is used")
+        first, is_better = edge.topic, topic.endswith("/tf") and not edge.topic.endswith("/tf")
+        if message.child not in self._warned and not edge.samples.is_like(message, -1):
+            used = topic if is_better else first
+            self._warn(message.child, f"is on {first} and on {topic}; {used} is used")
         if is_better:
             edge.topic, edge.samples = topic, MotionSamples()
         return is_better

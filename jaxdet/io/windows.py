@@ -25,7 +25,7 @@ import numpy as np
 
 from jaxdet.errors import FrameError, RescanError
 from jaxdet.io.chunks import PAYLOAD_OFFSET
-from jaxdet.io.clocks import LEAST_NS, jumps
+from jaxdet.io.clocks import MIN_STEP_NS, jumps
 from jaxdet.io.contents import image_stamps
 from jaxdet.io.file_index import Place
 from jaxdet.io.messages import Kind
@@ -175,10 +175,10 @@ class StreamWindows:
         some = np.linspace(0, len(self) - 1, min(looks, len(self))).astype(np.int64)
         is_adjusted = bool(jumps(times[self.in_file_order()]).any())
         for ends in pairwise(some.tolist()):
-            while change(ends) > LEAST_NS and ends[1] - ends[0] > 1:
+            while change(ends) > MIN_STEP_NS and ends[1] - ends[0] > 1:
                 middle = sum(ends) // 2
                 ends = max((ends[0], middle), (middle, ends[1]), key=change)
-            is_adjusted |= change(ends) > LEAST_NS
+            is_adjusted |= change(ends) > MIN_STEP_NS
         if is_adjusted:
             problem = "a clock was adjusted during the recording"
             raise RescanError(problem, path=self._path, topic=self.topic)

@@ -20,12 +20,13 @@ from jaxdet.export.ros2 import LOCAL, MESSAGES, frame_messages
 from jaxdet.export.sidecar import floor_transform
 from jaxdet.floor.mount import Mount
 from jaxdet.io.images import check_pixels, decode_depth, is_depth_encoding
-from jaxdet.io.intrinsics import CameraSource, find_intrinsics, is_rectified
+from jaxdet.io.intrinsics import CameraSource, find_intrinsics
 from jaxdet.io.message_fields import parse
 from jaxdet.io.messages import CameraInfoMessage, ImageMessage, Kind
 from jaxdet.io.motion import motion_matrix
 from jaxdet.io.options import LogOptions
 from jaxdet.io.streams import ImageSize
+from jaxdet.io.topics import is_rectified
 from jaxdet.io.writer import transforms_message
 from jaxdet.io.writer_cdr import encode_cdr
 from jaxdet.results.tables import Tables

@@ -20,7 +20,6 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -106,9 +105,10 @@ def read(
 
 def _images(folder: Path, files: ImageFiles) -> tuple[list[Image], bool]:
     """Return images, and whether their timestamps were recorded."""
+    paths = files.paths(folder)
     lists = (entry(folder, f"{name}.txt") for name in files.folders)
     path = next((path for path in lists if path.is_file()), None)
-    if path and files.paths(folder):
+    if path and paths:
         rows = read_table(path, 2)
         listed = [Image(nanoseconds(stamp, path), folder / name) for stamp, name in rows]
         if not any(image.path.is_file() for image in listed):
@@ -116,17 +116,16 @@ def _images(folder: Path, files: ImageFiles) -> tuple[list[Image], bool]:
             problem = f"none of the {len(rows)} images in this list exists{example}"
             raise InputError(problem, path=str(path), remedy="correct or remove the list")
         return listed, True
-    images = {image: files.frame_name(image) for image in files.paths(folder)}
+    images = {path: files.frame_name(path) for path in paths}
     if all("." in name for name in images.values()):
         return [Image(nanoseconds(name, path), path) for path, name in images.items()], True
     timed = [match for name in images.values() if (match := _WITH_TIME.fullmatch(name))]
-    if has_times := len(timed) == len(images):
-        after_ns = [int(match[1]) * 1000 for match in timed]
-    else:
+    has_times = len(timed) == len(images)
+    after_ns = [int(match[1]) * 1000 for match in timed]
+    if not has_times:
         after_ns = [number * SECOND // RATE_HZ for number in _frame_numbers(images)]
-    return [
-        Image(_FIRST_NS + ns, path) for ns, path in zip(after_ns, images, strict=True)
-    ], has_times
+    stamps = [_FIRST_NS + ns for ns in after_ns]
+    return list(map(Image, stamps, paths)), has_times
 
 
 def _frame_numbers(names: Mapping[Path, str]) -> list[int]:
@@ -137,19 +136,17 @@ def _frame_numbers(names: Mapping[Path, str]) -> list[int]:
     """
     found = {path: re.findall(r"\d+", name)[::-1] for path, name in names.items()}
     columns = zip(*found.values(), strict=False)
-    columns = [column for column in columns if max(map(len, column)) <= _MAX_DIGITS]
+    columns = [[*map(int, column)] for column in columns if max(map(len, column)) <= _MAX_DIGITS]
     if not columns:
         path = min(found, key=lambda path: len(found[path]))
         problem = "the name has neither a timestamp in seconds nor a frame number"
         raise InputError(problem, path=str(path), remedy="number the images, or write rgb.txt")
-    choices = [[*map(int, column)] for column in columns]
-    if distinct := [numbers for numbers in choices if len({*numbers}) == len(numbers)]:
-        return distinct[0]
-    [(common, _)] = Counter(choices[0]).most_common(1)
-    same = (path for path, number in zip(found, choices[0], strict=True) if number == common)
-    one, two = islice(same, 2)
-    problem = f"{printable(one.name)} and {printable(two.name)} have the same frame number"
-    raise InputError(problem, path=str(one.parent), remedy="remove one, or number the images")
+    for numbers in columns:
+        if len({*numbers}) == len(numbers):
+            return numbers
+    [(number, count)] = Counter(columns[0]).most_common(1)
+    problem, folder = f"{count} images have the frame number {number}", next(iter(names)).parent
+    raise InputError(problem, path=str(folder), remedy="remove all but one, or number the images")
 
 
 def _camera(path: Path) -> dict[str, Any] | None:

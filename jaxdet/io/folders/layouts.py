@@ -52,28 +52,21 @@ def _read_7_scenes(folder: Path) -> Recording | None:
 
 
 def _read_scannet(folder: Path) -> Recording | None:
-    """Read a folder with the camera matrices (4, 4) of both images, see :func:`_scannet_matrix`."""
-    if not (_scannet_matrix(folder, "color") or _scannet_matrix(folder, "depth")):
-        return None
-    return basic.read(folder, cameras=_scannet_cameras)
+    """Read a folder with camera matrices (4, 4), such as ``intrinsic/intrinsic_color.txt``.
 
-
-def _scannet_matrix(folder: Path, kind: str) -> Path | None:
-    """Return the file with a camera matrix.
-
-    It is ``intrinsic/intrinsic_color.txt``, in ScanNet's small subset (``scannet_frames_25k``)
-    ``intrinsics_color.txt``.
+    In ScanNet's small subset (``scannet_frames_25k``), it is ``intrinsics_color.txt``.
     """
-    found = (folder.glob(f"{part}intrinsic*_{kind}.txt") for part in ("intrinsic/", ""))
-    return next(chain.from_iterable(found), None)
+    color, depth = (
+        next(chain(folder.glob(f"intrinsic/{name}"), folder.glob(name)), None)
+        for name in ("intrinsic*_color.txt", "intrinsic*_depth.txt")
+    )
+    if not (color or depth):
+        return None
 
+    def cameras(_: Path, colors: Sequence[Image], depths: Sequence[Image]) -> Cameras:
+        return Cameras(color and _camera(color, 4, colors), depth and _camera(depth, 4, depths))
 
-def _scannet_cameras(folder: Path, color: Sequence[Image], depth: Sequence[Image]) -> Cameras:
-    def camera(kind: str, images: Sequence[Image]) -> Intrinsics | None:
-        path = _scannet_matrix(folder, kind)
-        return _camera(path, 4, images) if path else None
-
-    return Cameras(camera("color", color), camera("depth", depth))
+    return basic.read(folder, cameras=cameras)
 
 
 def _read_openloris(folder: Path) -> Recording | None:
@@ -95,8 +88,8 @@ def _sun3d_cameras(folder: Path, color: Sequence[Image], depth: Sequence[Image])
 
 
 def _camera(path: Path, rows: int, images: Sequence[Image]) -> Intrinsics | None:
-    """Return intrinsics from a file with the camera matrix; None if file or images are missing."""
-    if not path.is_file() or not (size := image_size(images)):
+    """Return intrinsics from a file with the camera matrix; None without images."""
+    if not (size := image_size(images)):
         return None
     K = read_matrix(path, rows)
     return Intrinsics(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2])

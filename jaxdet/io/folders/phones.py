@@ -130,34 +130,26 @@ def _recording(
     # A timestamp of zero would count as missing.
     stamps = np.round(times_s * 1e9).astype(np.int64) + (SECOND if not times_s.all() else 0)
     stamp_of = dict(zip(numbers, stamps.tolist(), strict=True))
-    (color, _), (depth, lost) = (_images(files, folder, stamp_of) for files in (COLOR, DEPTH))
+    color, depth = (_images(files, folder, stamp_of) for files in (COLOR, DEPTH))
     if not depth:
         raise ValueError("no depth image has a timestamp")
+    used = {image.path for image in depth}
+    lost = [printable(path.name) for path in DEPTH.paths(folder) if path not in used]
     cameras = Cameras(_camera(K, size, color), _camera(K, size, depth))
     world = zip(stamps.tolist(), _Z_UP @ poses, strict=False)
     posed = [Pose.of_matrix(stamp_ns, T) for stamp_ns, T in world if np.isfinite(T).all()]
-    note = ""
-    if lost:
-        note = (
-            f"{folder.absolute().name}: {len(lost)} depth images without a timestamp are left out"
-        )
-        note += f", for example {lost[0]}"
-    return Recording(color, depth, cameras, posed, note)
+    note = f"{len(lost)} depth images without a timestamp are left out, for example "
+    return Recording(color, depth, cameras, posed, note + lost[0] if lost else "")
 
 
-def _images(
-    files: ImageFiles, folder: Path, stamp_of: Mapping[int, int]
-) -> tuple[list[Image], list[str]]:
-    """Return the images with a timestamp, and the names of the others."""
-    found, lost = [], []
+def _images(files: ImageFiles, folder: Path, stamp_of: Mapping[int, int]) -> list[Image]:
+    """Return the images with a timestamp."""
+    found = []
     for path in files.paths(folder):
         name = files.frame_name(path)
-        stamp_ns = stamp_of.get(int(name[-9:])) if name.isdecimal() else None
-        if stamp_ns is None:
-            lost.append(printable(path.name))
-        else:
-            found.append(Image(stamp_ns, path))
-    return found, lost
+        if name.isdecimal() and (number := int(name[-9:])) in stamp_of:
+            found.append(Image(stamp_of[number], path))
+    return found
 
 
 def _camera(K: np.ndarray, size: tuple[int, int], images: Sequence[Image]) -> Intrinsics | None:

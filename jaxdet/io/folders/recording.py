@@ -1,5 +1,6 @@
 """Contents of a folder of images in one form, and the text files from which layouts read it."""
 
+import os
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from itertools import chain
@@ -46,15 +47,17 @@ class ImageFiles(NamedTuple):
         """
         parts = [folder]
         if self.folders:
-            named = (part for part in folder.iterdir() if part.name.lower() in self.folders)
-            parts = sorted(part for part in named if part.is_dir())
+            names = [name for name in os.listdir(folder) if name.lower() in self.folders]
+            parts = [folder / name for name in sorted(names) if (folder / name).is_dir()]
         if len(parts) > 1:
             problem = f"several folders of images: {', '.join(part.name for part in parts)}"
             raise InputError(problem, path=str(folder), remedy="keep one")
-        files = (file for part in parts for file in part.iterdir())
-        files = (file for file in files if file.name.lower().endswith(self.endings))
-        files = (file for file in files if not file.name.startswith(APPLE_DOUBLE))
-        return sorted(files, key=lambda file: file.name)
+        return [
+            part / name
+            for part in parts
+            for name in sorted(os.listdir(part))
+            if name.lower().endswith(self.endings) and not name.startswith(APPLE_DOUBLE)
+        ]
 
     def frame_name(self, image: Path) -> str:
         """Return the name of an image's frame, without the ending."""
@@ -146,8 +149,8 @@ def image_size(images: Sequence[Image]) -> tuple[int, int] | None:
 
 
 def entry(folder: Path, name: str) -> Path:
-    """Return the path in a folder with a name in lower case, ignoring case; it may not exist."""
-    return next((path for path in folder.iterdir() if path.name.lower() == name), folder / name)
+    """Return the path of a file by its name in lower case, ignoring case; it may not exist."""
+    return folder / next((own for own in os.listdir(folder) if own.lower() == name), name)
 
 
 def read_text(path: Path) -> str:
