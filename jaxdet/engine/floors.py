@@ -322,7 +322,7 @@ def _other_prior(
 
 
 def _tf_fault(shown: GroundPlane, plane: GroundPlane, flags: str) -> str:
-    """Return what is wrong with a mount from TF; empty if a plane may be other than the floor.
+    """Return the fault of a mount from TF as text; empty if the plane may not be the floor.
 
     The base frame may be above the floor, or the camera may be tilted in another way.
 
