@@ -11,13 +11,13 @@ from jaxdet import open_log
 from jaxdet.camera import pixel_rays
 from jaxdet.config import Config, FloorConfig
 from jaxdet.floor.plane import flat_plane, join_planes, repeat_plane, unknown_plane
-from jaxdet.floor.units import STEEPEST, Scale, floor_fit, prior_units
+from jaxdet.floor.units import ANGLES, STEEPEST, Scale, floor_fit, prior_units
 from jaxdet.reference import cells
 from jaxdet.reference._floor import find_floor
 from jaxdet.sim import sample_frames
 from jaxdet.sim.config import calibration_of
 from jaxdet.stages._tables import floor_tables as tables
-from jaxdet.types import GroundPlane
+from jaxdet.types import GroundPlane, Refusal
 from tests.floor_cells import (
     BOXES,
     CAMERA,
@@ -240,6 +240,19 @@ def test_floors_equal_the_reference_at_any_roll(roll_deg: float) -> None:
     plane = flat_plane(*(np.array([a]) for a in (0.5, 0.2, np.radians(roll_deg))))
     for grid in (random_cells(5, 1, 40, 50), [-a for a in random_cells(6, 1, 40, 50)]):
         assert_same([*grid[:2], np.abs(grid[2])], plane)
+
+
+@pytest.mark.parametrize("roll_deg", [178.0, 179.95, 180.0, -179.95])
+@pytest.mark.parametrize("turn_deg", [-1.5, 0.0, 1.5])
+def test_floor_of_a_camera_upside_down_is_found_on_both_sides_of_180_degrees(
+    roll_deg: float, turn_deg: float
+) -> None:
+    pose = Pose(0.62, 19, roll_deg)
+    grid = positions(measured(cast(pose, BOXES))[None], CAMERA)
+    pitch, roll, _, *_, refused = assert_same(grid, pose.plane(roll=turn_deg))[0]
+    apart = (roll / ANGLES - roll_deg + 180) % 360 - 180
+    assert refused == Refusal.NONE
+    assert abs(pitch / ANGLES - 19) < 0.2 and abs(apart) < 0.2
 
 
 # simulated and recorded

@@ -4,7 +4,7 @@ Both backends use them, see ``jaxdet/reference/_floor.py``.
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from jaxdet.elementary import sin
 from jaxdet.floor.plane import SLOPE_BITS, flat_plane
 from jaxdet.types import GroundPlane, Refusal
 
+Angle = TypeVar("Angle", int, np.ndarray)
 ANGLES = 32  # angle steps per degree: 0.03 degrees are 2 mm at 4 m
 FARTHEST = 1 << 20  # maximum height, and start of a ramp [depth units]
 SINE_BITS = 15  # fraction bits of sines; the product of two fits in 32 bits
@@ -143,6 +144,11 @@ def cosine(angle: np.ndarray | int) -> np.ndarray:
     return SINES[np.asarray(angle) + 450 * ANGLES]
 
 
+def wrapped(angle: Angle) -> Angle:
+    """Return angle steps wrapped to -180 degrees or more, and less than 180."""
+    return (angle + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
+
+
 def slopes(turn: np.ndarray) -> np.ndarray:
     """Return tangents of angle steps, ``SLOPE_BITS`` fraction bits."""
     return (sine(turn) << SLOPE_BITS) // cosine(turn)
@@ -170,9 +176,8 @@ def prior_units(prior: GroundPlane, scale: Scale) -> np.ndarray:
         without a prior.
     """
     pitch, roll = angle_steps(prior)
-    roll = (roll + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
     height = np.rint(np.where(prior.valid, prior.height, 0.0) / scale.unit)
-    parts = np.clip(pitch, -STEEPEST, STEEPEST), roll, np.clip(height, 1, FARTHEST)
+    parts = np.clip(pitch, -STEEPEST, STEEPEST), wrapped(roll), np.clip(height, 1, FARTHEST)
     return np.stack([np.where(prior.valid, a, 0) for a in (*parts, 1)], axis=1).astype(np.int32)
 
 

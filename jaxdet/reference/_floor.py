@@ -18,6 +18,7 @@ from jaxdet.floor.units import (
     floor_fit,
     prior_units,
     stride,
+    wrapped,
 )
 from jaxdet.reference._cells import margins
 from jaxdet.reference._floor_ahead import find_ahead
@@ -203,7 +204,7 @@ def _is_near(plane: Plane, prior: Plane | None, config: FloorConfig, scale: Scal
     return (
         plane.height > 0
         and abs(plane.pitch - prior.pitch) <= turn
-        and abs(plane.roll - prior.roll) <= turn
+        and abs(wrapped(plane.roll - prior.roll)) <= turn
         and abs(plane.height - prior.height) <= scale.length(config.max_shift_m)
     )
 

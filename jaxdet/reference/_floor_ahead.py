@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxdet.floor.units import ALIKE_M, FINE_PER_Z, PROFILE_M, ROUGH_M, Scale
+from jaxdet.floor.units import ALIKE_M, FINE_PER_Z, PROFILE_M, ROUGH_M, Scale, wrapped
 from jaxdet.reference._floor_planes import Plane, Sample
 from jaxdet.reference._floor_profile import Ahead, profile
 from jaxdet.reference._floor_ramp import best_ramp, is_seen
@@ -60,5 +60,5 @@ def find_ahead(
 
 
 def _alike(plane: Plane, other: Plane, scale: Scale) -> bool:
-    apart = max(abs(plane.pitch - other.pitch), abs(plane.roll - other.roll))
+    apart = max(abs(plane.pitch - other.pitch), abs(wrapped(plane.roll - other.roll)))
     return apart <= ALIKE and abs(plane.height - other.height) <= scale.length(ALIKE_M)

@@ -18,6 +18,7 @@ from jaxdet.floor.units import (
     Tolerance,
     cosine,
     sine,
+    wrapped,
 )
 from jaxdet.reference._rounding import rounded
 
@@ -149,8 +150,7 @@ def refine(
         t, s = (along(axis, some) >> lever_bits for axis in (forward, right))
         turns = _turns(weight, e[near], t, s, _pull(plane, prior), lever_bits)
         pitch, roll = plane.pitch + turns[0], plane.roll
-        roll += rounded(turns[1] << SINE_BITS, int(cosine(plane.pitch)))
-        roll = (roll + 180 * ANGLES) % (360 * ANGLES) - 180 * ANGLES
+        roll = wrapped(roll + rounded(turns[1] << SINE_BITS, int(cosine(plane.pitch))))
         pitch = min(max(pitch, -STEEPEST), STEEPEST)
         height = along(down_units(pitch, roll), some)
         plane = Plane(pitch, roll, rounded(int(weight @ height), int(weight.sum())))
@@ -161,7 +161,7 @@ def _pull(plane: Plane, prior: Plane | None) -> tuple[int, int]:
     """Return the rotations from a plane to the prior, about right and forward [angle steps]."""
     if prior is None:
         return 0, 0
-    side = (prior.roll - plane.roll) * int(cosine(plane.pitch))
+    side = wrapped(prior.roll - plane.roll) * int(cosine(plane.pitch))
     return prior.pitch - plane.pitch, rounded(side, 1 << SINE_BITS)
 
 

@@ -265,7 +265,7 @@ struct Floor {
         const auto apart = [](long long a, long long b) { return a > b ? a - b : b - a; };
         const int turn = settings->max_turn;
         return plane.height > 0 && apart(plane.pitch, prior.pitch) <= turn &&
-               apart(plane.roll, prior.roll) <= turn &&
+               apart(angles.wrapped(plane.roll - prior.roll), 0) <= turn &&
                apart(plane.height, prior.height) <= settings->max_shift;
     }
 

@@ -79,7 +79,7 @@ struct FloorOutlook : FloorRamps {
     // Whether two planes are too similar to try steps with both.
     bool are_alike(FloorPlane a, FloorPlane b) const {
         const auto differ = [](int a, int b, int most) { return a - b > most || b - a > most; };
-        return !differ(a.pitch, b.pitch, ALIKE) && !differ(a.roll, b.roll, ALIKE) &&
+        return !differ(a.pitch, b.pitch, ALIKE) && !differ(angles.wrapped(a.roll - b.roll), 0, ALIKE) &&
                !differ(a.height, b.height, settings->alike);
     }
 

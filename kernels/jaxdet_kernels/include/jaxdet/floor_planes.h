@@ -94,6 +94,12 @@ struct FloorAngles {
         return down(p.pitch + 90 * ANGLES, p.roll, bits);
     }
 
+    // Angle wrapped to -180 degrees or more, and less than 180.
+    int wrapped(int angle) const {
+        const int half = 180 * ANGLES;
+        return angle - (int)quotient(angle + half, 2 * half) * 2 * half;
+    }
+
     // Quotient a / b, rounded down; b must be positive.
     long long quotient(long long a, long long b) const {
         const long long whole = a / b;
@@ -311,9 +317,9 @@ struct FloorRefine {
         const long long one = 1 << FloorAngles::SINE_BITS;
         long long ahead = 0, aside = 0;
         if (is_given) {
-            const long long across = (long long)(prior.roll - plane.roll) * angles.cosine(plane.pitch);
+            const long long across = angles.wrapped(prior.roll - plane.roll);
             ahead = prior.pitch - plane.pitch;
-            aside = angles.rounded(across, one);
+            aside = angles.rounded(across * angles.cosine(plane.pitch), one);
         }
         te -= angles.rounded(ridge * (ahead * (1 << lever)), FloorAngles::RADIAN);
         se -= angles.rounded(ridge * (aside * (1 << lever)), FloorAngles::RADIAN);
@@ -333,9 +339,8 @@ struct FloorRefine {
         const int pitch = angles.clipped(angles.rounded((se * ts - te * ss) * r, det), LARGEST_TURN);
         const int side = angles.clipped(angles.rounded((te * ts - se * tt) * r, det), LARGEST_TURN);
         const int roll = plane.roll + (int)angles.rounded(side * one, angles.cosine(plane.pitch));
-        const int wide = 180 * FloorAngles::ANGLES;
         out[0] = angles.clipped(plane.pitch + pitch, FloorAngles::STEEPEST);
-        out[1] = roll + wide - (int)angles.quotient(roll + wide, 2 * wide) * 2 * wide - wide;
+        out[1] = angles.wrapped(roll);
     }
 };
 
