@@ -183,7 +183,7 @@ def test_a_grid_that_is_too_large_is_an_error() -> None:
 def test_obstacles_equal_the_reference_on_overlapping_objects(
     rows: int, columns: int, things: int
 ) -> None:
-    several = [painted(seed, rows, columns, things) for seed in range(10)]
+    several = [painted(seed, rows, columns, things) for seed in range(20)]
     assert len(set(assert_twin(several))) > 1
     assert_twin(several[:1])
     loose = replace(CONFIG, lateral_gap_m=0.2, forward_gap_m=0.1, bend_m=0.05, side_m=0.1)
