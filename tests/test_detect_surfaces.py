@@ -546,6 +546,47 @@ def test_notches_of_the_free_floor_reveal_objects_lower_than_the_step(
     assert count(found(made(strip[None], POSE.plane()))) == 0
 
 
+@pytest.mark.parametrize("upside_down", [False, True])
+def test_objects_in_notches_are_numbered_from_left_to_right(
+    device: object, upside_down: bool
+) -> None:
+    strips = [((x, y, 0.0), (x + 0.2, y + 0.1, 0.04)) for x, y in ((-0.6, 1.9), (0.3, 1.6))]
+    bare, depth = cast(POSE, []), cast(POSE, strips)
+    for strip in strips:
+        rows, columns = np.nonzero(cast(POSE, [strip]) < bare - 0.001)
+        depth[: rows.min(), columns.min() : columns.max() + 1] = 0
+    plane = POSE.plane()
+    if upside_down:
+        depth, plane = depth[::-1, ::-1], plane._replace(roll=plane.roll + np.pi)
+    given = made(depth[None], plane)
+    detections = found(given)
+    scene = detections.scene
+    assert scene and count(detections) == 2 and scene.first_notch[0] == 0
+    middle = np.asarray(scene.contour)[0, :2, :, 0]
+    used = [middle[k, : scene.contour_points[0, k]].mean() for k in range(2)]
+    assert used[0] < -400 and used[1] > 300
+    assert_equal(detect(given, SURFACES), detections)
+
+
+def test_nothing_nearer_than_the_depth_range_is_free_floor(device: object) -> None:
+    """Neither floor nor boxes count there: rays begin at the depth range, or behind the boxes."""
+    boxes = [((-0.1, 0.9, 0.0), (0.1, 1.0, 0.08))]
+    given = made(cast(POSE, boxes)[None], POSE.plane())
+    for nearest_m in (0.15, 1.6):
+        config = replace(SURFACES, ground=replace(SURFACES.ground, min_depth_m=nearest_m))
+        detections = found(given, config)
+        scene = detections.scene
+        assert scene and count(detections) == (nearest_m < 1)
+        start, stop = np.asarray(scene.free)[0].T * UNIT
+        used = stop > 0
+        pitch = np.radians(POSE.pitch)
+        ahead = start * np.cos(ray_bearings()[0])
+        depth = ahead * np.cos(pitch) + POSE.height * np.sin(pitch)
+        assert used.sum() > 50
+        assert depth[used & (stop > start)].min() > nearest_m - 0.06
+        assert_equal(detect(given, config), detections)
+
+
 def test_a_low_carton_with_a_hole_in_its_depth_is_found() -> None:
     """As on a real pavement, 7 cells of the carton remain left of the hole and 4 right of it."""
     sensor = DepthSensor(enabled=False)

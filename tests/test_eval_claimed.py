@@ -132,3 +132,21 @@ def test_a_run_reports_claimed_floor(tmp_path) -> None:
     assert figures["free_claimed"] == pytest.approx(
         figures["drivable_claimed"] / figures["drivable_pixels"]
     )
+
+
+def test_distances_are_not_scored_without_a_floor(tmp_path) -> None:
+    from jaxdet.cli.truth import TruthScore
+    from jaxdet.config import GroundConfig
+    from jaxdet.sim import SimConfig, write_log
+    from tests.runs import run_logs
+
+    path = tmp_path / "sim.mcap"
+    write_log(path, SimConfig(frames=2, width=320, height=240))
+    for source in ("auto", "none"):
+        config = Config(ground=GroundConfig(source=source))
+        observers = {"score": TruthScore(path, config)}
+        how = {"backend": "reference", "batch_size": 2, "pictures": 0, "observers": observers}
+        summary = run_logs(path, tmp_path / source, config=config, **how)
+        figures = summary.logs[0].observed["score"]
+        assert figures is not None and figures["found"] > 0
+        assert np.isnan(figures["nearest_error_m"]) == (source == "none")

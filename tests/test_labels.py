@@ -184,4 +184,4 @@ def test_a_run_reports_the_score_on_labels(
     assert message in capsys.readouterr().err
     write(tmp_path, [{"frame": 0, "box": [100, 100, 140, 160]}])
     assert main(["run", log, *args, "-y"]) == 0
-    assert "distance_m not compared: the true distances are unknown" in capsys.readouterr().out
+    assert "distance_m not compared: the floor or the true" in capsys.readouterr().out

@@ -25,6 +25,7 @@ SKIPPED_FOLDERS = {"__pycache__", "dist", "out"}
 def named_files() -> list[str]:
     """Return the files of stages and steps, relative to the root."""
     twins = [f"jaxdet/reference/_{name}.py" for name in STEPS]
+    twins += [f"kernels/jaxdet_kernels/include/jaxdet/{name}.h" for name in STEPS]
     twins += [f"jaxdet/{side}/paper/_{name}.py" for side in SIDES for name in STAGES]
     tests = [f"tests/test_{name}.py" for name in STAGES]
     tests += [f"tests/test_{name}_program.py" for name in STEPS]

@@ -213,7 +213,7 @@ def _off(score: Mapping[str, Any]) -> str:
         score[name] * 100 for name in ("nearest_error_m", "nearest_error_p90_m", "nearest_bias_m")
     )
     if math.isnan(middle):
-        return "not compared: the true distances are unknown"
+        return "not compared: the floor or the true distances are unknown"
     side = f"bias {bias:+.1f} cm (too {'near' if bias < 0 else 'far'})"
     return f"error {middle:.1f} cm (median), {most:.1f} cm (90th percentile), {side}"
 

@@ -25,7 +25,7 @@ from jaxdet.eval.shapes import Shapes, count_shapes
 from jaxdet.eval.tally import Tally, total
 from jaxdet.eval.truth import EvalConfig, FrameTruth
 from jaxdet.reference._cells import cell_boxes
-from jaxdet.results.metric import distances
+from jaxdet.results.metric import distances, floors
 from jaxdet.types import Calibration, CellLabels, Detections, Features
 
 
@@ -78,8 +78,12 @@ def evaluate_frames(
             f"{frames} frames of detections, but ground truth of {len(truth.obstacle_id)} frames"
         )
     required = truth.required(config)
-    has_distances = truth.nearest_floor_m is not None
-    distances_m = distances(detections) * depth_unit if has_distances else None
+    distances_m = None
+    if truth.nearest_floor_m is not None:
+        distances_m = distances(detections) * depth_unit
+        if detections.scene is not None:
+            unknown = ~floors(detections.scene, depth_unit).plane.valid
+            distances_m[unknown] = np.nan
     tallies: list[Tally] = []
     for b in range(frames):
         if valid is None or valid[b]:

@@ -80,7 +80,7 @@ def local_grid(frame: Frame, reach_m: float) -> Grid | None:
 
 
 def scan_message(found: Scan, head: dict[str, Any], range_max_m: float) -> dict[str, Any]:
-    """Build a ``sensor_msgs/LaserScan``."""
+    """Build a ``sensor_msgs/LaserScan``; ranges beyond ``range_max_m`` become inf."""
     return {
         "header": head,
         "angle_min": ANGLE_MIN,
@@ -90,6 +90,6 @@ def scan_message(found: Scan, head: dict[str, Any], range_max_m: float) -> dict[
         "scan_time": 0.0,
         "range_min": found.range_min_m,
         "range_max": range_max_m,
-        "ranges": found.ranges.tolist(),
+        "ranges": np.where(found.ranges > range_max_m, np.inf, found.ranges).tolist(),
         "intensities": [],
     }

@@ -250,7 +250,7 @@ def _free(
     for one, frame, near in zip(found, floors, pixels, strict=True):
         with_low = _with_notches(one, frame, calibration, config)
         columns = _columns(with_low, frame, calibration, config)
-        above = _in_range(one, frame, config, unit) & ~one.low
+        above = (_in_range(one, frame, config, unit) & ~one.low) | (with_low.label >= 0)
         standing = Standing(near, one.view.z, above)
         parts.append(rays(*columns, blocks(standing, frame, cells, config.ground, unit), half))
         every.append(with_low)
@@ -263,10 +263,11 @@ def _columns(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the free floor per column, see :func:`jaxdet.reference._free.free_floor`."""
     settings, cell, unit = config.floor, one.view, calibration.depth_unit
-    far, gap = round(config.ground.max_depth_m / unit), round(settings.gap_m / unit)
+    near, far = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
+    gap = round(settings.gap_m / unit)
     drops = quadratic_table(settings.drop_m, settings.noise_per_m, unit)
     bows = quadratic_table(config.ground.step_height_m, settings.bow_per_m, unit)
-    floor = one.low & (cell.height >= -bows[cell.z]) & (cell.z <= far)
+    floor = one.low & (cell.height >= -bows[cell.z]) & (cell.z >= near) & (cell.z <= far)
     place = cell.right, cell.forward, cell.height
     view = FloorView(one.label, one.low, floor, *place, drops[cell.z])
     return floor_ahead(view, frame[DOWN], far, gap)
@@ -276,12 +277,12 @@ def _with_notches(one: Found, frame: np.ndarray, calibration: Calibration, confi
     """Add the obstacles in notches of the free floor to those of a frame."""
     unit, cell = calibration.depth_unit, one.view
     line, end = _columns(one, frame, calibration, config)
-    if is_upside_down(frame[DOWN]):
-        line, end = line[::-1], end[::-1]
     length, ahead = round(NOTCH_M / unit), line[:, 1, 1].astype(np.int64)
     rise = step_height(calibration, config).at(cell.z, int(frame[CAMERA_HEIGHT]))
     high = _in_range(one, frame, config, unit) & (2 * cell.height > rise)
     notch, least = notches(end, ahead, length), config.obstacle.min_cells
+    if is_upside_down(frame[DOWN]):
+        notch, ahead = notch[::-1], ahead[::-1]  # to columns of the image
     return one._replace(
         label=with_notches(one.label, notch, ahead, cell.forward, high, length, least)
     )

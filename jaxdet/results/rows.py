@@ -388,7 +388,7 @@ def _shape_columns(
         bottom = top = np.full(row.size, np.nan)
         contours = Lists.nulls(row.size)
     else:
-        turned = np.abs(plane.roll) > 0.75 * np.pi  # upside down: columns go from right to left
+        turned = np.abs(plane.roll) > 0.5 * np.pi  # upside down: columns go from right to left
         placed = np.where(plane.valid[:, None], scene.contour_points, 0)
         points, count = contour_lines(scene.contour, placed, row, slot, turned[row])
         distance = nearest(points, count)

@@ -1,6 +1,6 @@
 // Low obstacles revealed by notches in the free floor. Twin of jaxdet/reference/_notches.py.
 #pragma once
-#include "free_floor.h"
+#include "free.h"
 #include "surfaces.h"
 
 namespace jaxdet { namespace {
@@ -10,18 +10,18 @@ struct Notches {
     const int* settings;
     const int* rises;  // (DEPTHS,) step height by z; due to noise it is at least `slope` times z
     int slope;
-    // Scratch. `notch` is the notch of each column, -1 if there is none. `size` is first the number of
+    // Scratch. `notch` is the notch of each column, from left to right, -1 if there is none. `size` is first the number of
     // cells of each notch, then the number of its obstacle, -1 if it has too few cells. `most` is the
     // number of notches.
     int *notch, *size, *most;
     int* label;
     int *num_obstacles, *first;
 
-    // `ahead` is the forward distance at which the floor of column c ends [depth units], 0 if no floor
-    // is visible. `is_short` is true if the floor is visible and ends for an unknown reason.
-    int ahead(int c) const { return floor.line_out[4 * of(c) + 3]; }
-    bool is_short(int c) const { return floor.end_out[of(c)] == FreeFloor::UNKNOWN && ahead(c) > 0; }
-    int of(int c) const { return floor.turned ? floor.columns - 1 - c : c; }
+    // `ahead` is the forward distance at which the floor of column c, counted from the left, ends [depth
+    // units], 0 if no floor is visible. `is_short` is true if the floor is visible and ends for an
+    // unknown reason.
+    int ahead(int c) const { return floor.line_out[4 * c + 3]; }
+    bool is_short(int c) const { return floor.end_out[c] == FreeFloor::UNKNOWN && ahead(c) > 0; }
 
     // Adds an obstacle for each notch with enough cells; returns whether there are any.
     bool run() const {
@@ -74,7 +74,8 @@ struct Notches {
     template <class Use> void each_cell(Use use) const {
         for (int c = floor.team.rank; c < floor.columns; c += floor.team.size) {
             const int n = notch[c], end = floor.rows * floor.columns, from = ahead(c);
-            for (int k = c; n >= 0 && k < end; k += floor.columns) {
+            const int column = floor.turned ? floor.columns - 1 - c : c;
+            for (int k = column; n >= 0 && k < end; k += floor.columns) {
                 const int z = floor.z[k], high = floor.height[k], beyond = floor.forward[k] - from;
                 const int rise = Surfaces::higher(rises[z], z * slope >> Surfaces::SLOPE_BITS);
                 if (label[k] < 0 && z >= settings[FreeFloor::NEAREST] &&

@@ -3,7 +3,7 @@
 #include "arena.h"
 #include "cells.h"
 #include "floor.h"
-#include "free_floor.h"
+#include "free.h"
 #include "notches.h"
 #include "obstacles.h"
 #include "outlines.h"
@@ -152,9 +152,9 @@ struct Frame {
         const FreeParts parts(rows, columns, arena);
         const int* const of = free_settings;
         const FloorFrame floor_frame(frame);
-        FreeFloor by_column{team, rows, columns, of[FreeFloor::FAR], of[FreeFloor::GAP], label, z,
-                            right, forward, above, (const bool*)low, bows, drops, parts.line, parts.end,
-                            parts.falls, false};
+        FreeFloor by_column{team, rows, columns, of[FreeFloor::NEAREST], of[FreeFloor::FAR],
+                            of[FreeFloor::GAP], label, z, right, forward, above, (const bool*)low, bows,
+                            drops, parts.line, parts.end, parts.falls, false};
         const Rays found{by_column, bearings, ray_directions, parts.start, parts.stop, parts.block,
                          parts.polar, of[FreeFloor::HALF_TURN]};
         by_column.run(floor_frame);

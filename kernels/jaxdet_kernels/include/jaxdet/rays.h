@@ -2,7 +2,7 @@
 // Lengths are in depth units. Twin of jaxdet/reference/_rays.py.
 #pragma once
 #include "cells.h"
-#include "free_floor.h"
+#include "free.h"
 #include "grid.h"
 #include "square_root.h"
 
@@ -325,8 +325,8 @@ struct RayBlocks {
     // cell has no obstacle.
     __attribute__((always_inline)) int square(int k) const {
         const int pixel = pixels[k], own = floor.z[k], high = floor.height[k];
-        const bool is_cell =
-            (own >= nearest) & (own <= farthest) & !floor.low[k] & (high <= highest);
+        const bool in_range = (own >= nearest) & (own <= farthest);
+        const bool is_cell = (in_range & !floor.low[k] & (high <= highest)) | (floor.label[k] >= 0);
         const float depth = (float)((is_cell & (pixel < nearest)) ? own : pixel);
         const float x = (float)rays[k], y = (float)rays[floor.rows * floor.columns + k];
         const float right = along(0, x, y), forward = along(1, x, y), down = along(2, x, y);

@@ -46,7 +46,7 @@ struct FreeFloor {
     };
 
     const Team& team;
-    int rows, columns, far, gap;
+    int rows, columns, near, far, gap;
     const int *label, *z, *right, *forward, *height;
     const bool* low;
     const int *bows, *drops;  // (DEPTHS,) tolerance of bowing, and minimum height of a drop, by z
@@ -140,7 +140,7 @@ struct FreeFloor {
             take(low, row, left, n, on[i]);
             for (int c = 0; c < n; ++c) {
                 on[i][c] &= (bottom >= i) & !of.ended[c] & (ahead[i][c] < of.limit[c]) &
-                            (depth[i][c] <= far);
+                            (depth[i][c] >= near) & (depth[i][c] <= far);
                 some |= on[i][c];
             }
         }
