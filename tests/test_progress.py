@@ -75,6 +75,13 @@ def test_long_steps_are_reported_in_a_line(monkeypatch, capsys) -> None:
     assert capsys.readouterr().err == "0/40 logs; a: 1 of 39 logs are done\n"
 
 
+def test_the_end_of_a_log_is_reported_once(capsys) -> None:
+    lines = _Lines()
+    for number, done in ((0, 20), (0, 20), (1, 0), (1, 20), (1, 20)):
+        lines(Progress("ab"[number], number, 2, done, 20, 0, None))
+    assert capsys.readouterr().err == "[1/2] a: 20/20 frames\n[2/2] b: 20/20 frames\n"
+
+
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals on this system")
 def test_a_closed_terminal_does_not_end_the_run(monkeypatch) -> None:
     monkeypatch.setenv("TERM", "xterm")

@@ -67,6 +67,7 @@ class _Lines:
 
     def __init__(self) -> None:
         self.last = time.monotonic()
+        self.finished = -1  # number of the last log whose end was reported
 
     def __call__(self, now: "Progress") -> None:
         unfinished = now.doing or now.done < now.total
@@ -74,6 +75,10 @@ class _Lines:
             unfinished = now.logs_done < now.num_logs
         if unfinished and time.monotonic() - self.last < LINE_EVERY_S:
             return
+        if not unfinished:
+            if now.log_number == self.finished:
+                return
+            self.finished = now.log_number
         self.last = time.monotonic()
         if now.num_logs > FEW_LOGS:
             tell(_logs_text(now))
