@@ -38,7 +38,7 @@ def number(name: str, value: Any) -> float:
     try:
         return float(of_type(name, value, Real))
     except OverflowError as error:
-        raise InputError("number is too large", topic=name, remedy="give a smaller one") from error
+        raise InputError("number is too large", topic=name, remedy="pass a smaller one") from error
 
 
 def whole_number(name: str, value: Any) -> int:
@@ -87,7 +87,7 @@ def numbers(name: str, values: Any, kind: type) -> "np.ndarray":
     except Exception as error:  # see numeric()
         raise _no_numbers(name, values) from error
     problem = f"shape {values.shape} is too large"
-    raise InputError(problem, topic=name, remedy="give fewer numbers")
+    raise InputError(problem, topic=name, remedy="pass fewer numbers")
 
 
 def _no_numbers(name: str, values: Any) -> InputError:

@@ -80,7 +80,7 @@ class GroundConfig:
     """Camera mounting height above the floor [m]. Unset: taken from the log's TF, else estimated
     from a sample of its frames. The depth of each frame corrects it."""
     camera_pitch_rad: float | None = None
-    """Downward tilt of the camera [rad], required with camera_height_m; 0 for a level camera."""
+    """Downward tilt of the camera [rad], required with the height; 0 for a level camera."""
     camera_roll_rad: float = 0.0
     """Roll of the camera [rad], clockwise seen from behind; used with camera_height_m."""
     source: str = "auto"
@@ -132,8 +132,8 @@ class GroundConfig:
         _require(
             self.camera_height_m is None or self.camera_pitch_rad is not None,
             "ground.camera-pitch",
-            "given with camera-height-m, 0deg for a level camera; without both the floor is "
-            "estimated in each frame",
+            "given with --ground.camera-height-m, 0deg for a level camera; without both, the floor "
+            "is estimated in each frame",
         )
 
 

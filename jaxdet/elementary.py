@@ -31,7 +31,7 @@ _LOG = tuple(2 / (2 * k + 1) for k in range(10, 0, -1))
 
 
 def sin(x: ArrayLike) -> np.ndarray:
-    """Sine of angles [rad], within 1 ulp.
+    """Return the sine of angles [rad], within 1 ulp.
 
     Angles beyond 1.6 million are first reduced modulo the float64 value of 2π. The result is NaN
     for infinities, and 0 for zeros of both signs.
@@ -44,12 +44,12 @@ def sin(x: ArrayLike) -> np.ndarray:
 
 
 def cos(x: ArrayLike) -> np.ndarray:
-    """Cosine of angles [rad], within 1.1 ulp, with the same reduction as :func:`sin`."""
+    """Return the cosine of angles [rad], within 1.1 ulp, with the reduction of :func:`sin`."""
     return sin_cos(x)[1]
 
 
 def sin_cos(x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Sine and cosine of angles [rad], with the accuracy and range of :func:`sin`.
+    """Return sine and cosine of angles [rad], with the accuracy and range of :func:`sin`.
 
     The angle is reduced to at most π/4 and kept as a sum of two numbers (Cody and Waite 1980). The
     Taylor series of both functions are evaluated at this sum.
@@ -79,7 +79,7 @@ def sin_cos(x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 
 
 def arctangent(x: np.ndarray) -> np.ndarray:
-    """Arc tangent of ``x >= 0``, any shape float64, within 2 ulp.
+    """Return the arc tangent of ``x >= 0``, any shape float64, within 2 ulp.
 
     The kernels use the same rational approximation (Cephes ``atan.c``, S. Moshier).
 
@@ -113,7 +113,7 @@ _ATAN_Q = (
 
 
 def arctan2(y: ArrayLike, x: ArrayLike) -> np.ndarray:
-    """Angle of the vectors ``(x, y)`` from the x axis, from -π to π [rad], within 2 ulp.
+    """Return the angle of vectors ``(x, y)`` from the x axis, from -π to π [rad], within 2 ulp.
 
     Signed zeros, infinities and NaN are treated as by :func:`numpy.arctan2`.
 
@@ -132,7 +132,7 @@ def arctan2(y: ArrayLike, x: ArrayLike) -> np.ndarray:
 
 
 def hypot(x: ArrayLike, y: ArrayLike) -> np.ndarray:
-    """Length of the vectors ``(x, y)``, within 1 ulp, without intermediate overflow.
+    """Return the length of vectors ``(x, y)``, within 1 ulp, without intermediate overflow.
 
     Example:
         >>> hypot([3.0, 3e300], [4.0, 4e300]).tolist()
@@ -151,7 +151,7 @@ def hypot(x: ArrayLike, y: ArrayLike) -> np.ndarray:
 
 
 def log(x: ArrayLike) -> np.ndarray:
-    """Natural logarithm, within 1 ulp; -infinity for 0, NaN for negative numbers.
+    """Return the natural logarithm, within 1 ulp; -infinity for 0, NaN for negative numbers.
 
     The logarithm of the fraction ``1 + f`` between √½ and √2 is a series in ``s = f / (2 + f)``.
 
@@ -173,7 +173,7 @@ def log(x: ArrayLike) -> np.ndarray:
 
 
 def dot(a: ArrayLike, b: ArrayLike) -> np.ndarray:
-    """Scalar product along the last axis, summed from the first component to the last."""
+    """Return the scalar product along the last axis, summed from the first component on."""
     a, b = np.asarray(a), np.asarray(b)
     total = a[..., 0] * b[..., 0]
     for i in range(1, a.shape[-1]):
@@ -182,12 +182,12 @@ def dot(a: ArrayLike, b: ArrayLike) -> np.ndarray:
 
 
 def norm(a: ArrayLike) -> np.ndarray:
-    """Euclidean norm along the last axis, by :func:`dot`."""
+    """Return the Euclidean norm along the last axis, by :func:`dot`."""
     return np.sqrt(dot(a, a))
 
 
 def matmul(a: ArrayLike, b: ArrayLike) -> np.ndarray:
-    """Product of matrices ``(..., N, K)`` and ``(..., K, M)``, summed from the first term on.
+    """Return the product of matrices ``(..., N, K)`` and ``(..., K, M)``, summed in order of K.
 
     Example:
         >>> matmul([[1.0, 2.0], [3.0, 4.0]], [[1.0, 0.0], [0.0, -1.0]]).tolist()
@@ -201,7 +201,7 @@ def matmul(a: ArrayLike, b: ArrayLike) -> np.ndarray:
 
 
 def mean(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
-    """Mean along the first axis, optionally weighted, summed from the first value to the last.
+    """Return the mean along the first axis, optionally weighted, summed from the first value on.
 
     Args:
         values: Values ``(N, ...)``, ``N`` at least 1.
@@ -217,7 +217,7 @@ def mean(values: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
 
 
 def median(values: np.ndarray, axis: int | None = None) -> np.ndarray:
-    """Median, with the mean of both middle values for an even count; never a negative zero.
+    """Return the median, for an even count the mean of both middle values; never a negative zero.
 
     Zeros of both signs compare equal, so which of them is in the middle depends on NumPy's sorting
     algorithm; the sign is therefore removed.

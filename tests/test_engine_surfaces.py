@@ -105,7 +105,7 @@ def test_floors_far_from_the_mount_are_refused_with_a_warning(tf_log: Path, tmp_
     assert about.floor_refused.total() == FRAMES
     assert about.floor_refused == {row["floor_refused"]: FRAMES for row in frames}
     (warning,) = [text for text in about.warnings if "don't show their floor" in text]
-    assert f"{FRAMES} have that of flags: give" in warning and "--ground.camera-height-m" in warning
+    assert f"{FRAMES} have that of flags: pass" in warning and "--ground.camera-height-m" in warning
 
 
 @pytest.mark.parametrize("far, names_unit", [(10, True), (8, False)])
@@ -115,7 +115,7 @@ def test_the_floor_warning_names_the_depth_unit_if_most_floors_are_far_off(
     log = LogSummary("a", (), status=Counter(ok=10), floor_sources=Counter(tf=10))
     log.floor_refused = Counter(far=far, too_little=10 - far)
     warning = log.floor_warning
-    assert warning and "give the camera's true" in warning
+    assert warning and "pass the camera's true" in warning
     assert ("check the depth unit (--log.depth-unit-m), the intrinsics" in warning) is names_unit
 
 
@@ -125,7 +125,7 @@ def test_the_floor_warning_names_the_depth_unit_if_most_floors_are_far_off(
         (0.2, 0.1, "", "z = 0 is the floor with --log.base-frame"),
         (1.5, 0.0, "", "looks 86° down, rolled by 0°: .* --log.camera-frame"),
         (0.2, -1.57, "", "rolled by -90°: .* --log.camera-frame"),
-        (0.2, 0.1, "give --ground.camera-roll 90deg: turned", "warning with --ground.camera-roll"),
+        (0.2, 0.1, "pass --ground.camera-roll 90deg: turned", "warning with --ground.camera-roll"),
     ],
 )
 def test_the_floor_warning_names_the_cause(pitch, roll, given, cause) -> None:
@@ -133,14 +133,14 @@ def test_the_floor_warning_names_the_cause(pitch, roll, given, cause) -> None:
     log.ground = (GroundRecord("tf", None, 0.3, pitch, roll),)
     log.floor_refused, log.warnings = Counter(too_little=10), [given]
     warning = log.floor_warning
-    assert warning and re.search(cause, warning) and "; else give the camera's true" in warning
+    assert warning and re.search(cause, warning) and "; else pass the camera's true" in warning
 
 
 def test_the_floor_warning_names_no_other_mount_if_that_mount_is_used() -> None:
     log = LogSummary("a", (), status=Counter(ok=10), floor_sources=Counter(frame=8, log=2))
-    log.floor_refused, log.warnings = Counter(far=2), ["is used; give --ground.camera-roll 180deg"]
+    log.floor_refused, log.warnings = Counter(far=2), ["is used; pass --ground.camera-roll 180deg"]
     warning = log.floor_warning
-    assert warning and "2 have that of log: give the camera's true" in warning
+    assert warning and "2 have that of log: pass the camera's true" in warning
 
 
 def test_source_none_removes_no_floor(tf_log: Path, tmp_path: Path) -> None:

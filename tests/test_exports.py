@@ -216,7 +216,7 @@ def test_a_full_disk_is_reported_and_leaves_no_files(to: str, tmp_path: Path) ->
     with Results(tmp_path / "results") as results:
         try:
             resource.setrlimit(resource.RLIMIT_FSIZE, (64, limits[1]))
-            with pytest.raises(OutputError, match=r"out: can't be written \(.*make room or give"):
+            with pytest.raises(OutputError, match=r"out: can't be written \(.*make room or pass"):
                 export(results, to, tmp_path / "out", {})
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)

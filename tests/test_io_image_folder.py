@@ -276,7 +276,7 @@ def test_results_record_the_image_folder(tmp_path):
     assert note.endswith("the log is not at its original path; pass it with --against")
     write_tum(folder)
     for inside in (folder, folder / "out"):
-        with pytest.raises(ConfigError, match=r"is in the log .*; give an --output next to it"):
+        with pytest.raises(ConfigError, match=r"is in the log .*; pass an --output next to it"):
             results(inside)
     assert not (folder / ".jaxdet").exists()
 

@@ -117,7 +117,7 @@ def test_the_plan_never_exceeds_the_memory(total, needs, batch, workers):
     try:
         allotted = memory.allot(*needs, batch, workers, "a")
     except InputError as error:
-        least = re.search(r"give --memory (\d+MiB) or more", str(error))
+        least = re.search(r"pass --memory (\d+MiB) or more", str(error))
         assert least
         more = Memory(least[1], workers)
         assert more.total > memory.total
@@ -235,7 +235,7 @@ def test_the_memory_that_an_error_message_requests_is_sufficient(total):
 def test_the_default_memory_is_always_sufficient(monkeypatch):
     monkeypatch.setattr("jaxdet.engine.memory.machine_memory", lambda: 400 * MIB)
     assert Memory(None, 4).workers == 1
-    with pytest.raises(ConfigError, match="100M is too little for any log; give --memory 704MiB"):
+    with pytest.raises(ConfigError, match="100M is too little for any log; pass --memory 704MiB"):
         Memory("100M", 4)
     assert Memory("704MiB", 4).total == 704 * MIB
 
@@ -245,7 +245,7 @@ def test_too_little_memory_is_an_error(tmp_path, capsys):
     given = ["run", str(log), "--output", str(tmp_path / "out"), "--memory", "100MiB", "--quiet"]
     assert main(given) == 2
     message = capsys.readouterr().err
-    assert message.splitlines()[-1].endswith("too little for any log; give --memory 704MiB or more")
+    assert message.splitlines()[-1].endswith("too little for any log; pass --memory 704MiB or more")
     assert not (tmp_path / "out").exists()
 
 

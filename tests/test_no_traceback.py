@@ -51,10 +51,10 @@ def ended(capsys, arguments: list[str], code: int) -> str:
 
 
 FLAGS = {
-    "--batch-size 0": "give --batch-size 1 or more",
-    "--workers 0": "give --workers from 1",
-    "--workers 99999999999999999999": "give --workers from 1",
-    "--pictures -1": "give --pictures 0 or more",
+    "--batch-size 0": "pass --batch-size 1 or more",
+    "--workers 0": "pass --workers from 1",
+    "--workers 99999999999999999999": "pass --workers from 1",
+    "--pictures -1": "pass --pictures 0 or more",
     "--ground.window-s inf": "ground.window-s must be",
     "--features.canny-low nan": "features.canny-low must be a number",
     "--log.max-pixels 0": "max-pixels must be",

@@ -155,8 +155,8 @@ def planes_of(path: Path, window_s: float = 0.0, **options: Any) -> Planes:
     [
         (0.0, 0.0, True, r"is 0\.10 m lower than z = 0.*--log\.base-frame"),
         (0.1, 0.0, True, r"is 0\.20 m lower than z = 0.*--log\.base-frame"),
-        (0.1, 0.1, False, r"if the camera is mounted so, give .*-height-m 0\.30 .*-pitch 10deg"),
-        (-0.6, 0.0, False, r"if the camera is mounted so, give .*-height-m 0\.30 .*-pitch 10deg"),
+        (0.1, 0.1, False, r"if the camera is mounted so, pass .*-height-m 0\.30 .*-pitch 10deg"),
+        (-0.6, 0.0, False, r"if the camera is mounted so, pass .*-height-m 0\.30 .*-pitch 10deg"),
     ],
 )
 def test_a_floor_below_the_base_frame_and_parallel_to_it_is_used(

@@ -89,7 +89,7 @@ def test_a_disk_that_becomes_full_during_a_run_keeps_finished_results(two, tmp_p
     old = (tmp_path / "a" / "b" / "manifest.json").read_bytes()
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
-        with pytest.raises(OutputError, match="make room or give another --output; 1 of 2 logs"):
+        with pytest.raises(OutputError, match="make room or pass another --output; 1 of 2 logs"):
             run(tmp_path / "a", two, overwrite=True, pictures=0, progress=fill)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

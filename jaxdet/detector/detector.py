@@ -41,7 +41,7 @@ RUN_BATCH = 16
 
 
 class Detector:
-    """Detect obstacles in depth images of a camera, as ``jaxdet run`` does.
+    """Detector of obstacles in depth images of a camera, equal to ``jaxdet run``.
 
     Only depth is used; colour is for pictures and for the preset ``paper``. The floor is estimated
     from the depth of each frame, near the ``mount`` if there is one. Results do not depend on the

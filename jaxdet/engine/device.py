@@ -43,7 +43,7 @@ class Found(NamedTuple):
 
 
 class Device(Protocol):
-    """Finds obstacles; batches are finished in the order in which they were started."""
+    """Detector of batches, which are finished in the order in which they were started."""
 
     ahead: int
     """Number of later batches that are started before a batch is finished."""

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Executor(Protocol):
-    """Processes the frames of one camera of an open log."""
+    """Executor of the frames of one camera of an open log."""
 
     share: Share
     """Number of processes and batch sizes for the frames."""

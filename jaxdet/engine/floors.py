@@ -170,7 +170,7 @@ def decide_planes(
     if config.cluster.points and unknown:
         where = f" in {unknown} of {len(windows)} time windows" if window_ns else ""
         problem = f"no floor was found{where}: nothing is dropped as floor there"
-        warnings = (*warnings, f"{problem}; give --ground.camera-height-m")
+        warnings = (*warnings, f"{problem}; pass --ground.camera-height-m")
     return Planes(
         tuple(records) or (replace(first, message=_with_prior(first, "no frame has depth")),),
         windows if window_ns else {0: plane, **windows},
@@ -210,7 +210,7 @@ def _stated(log: "Log", ground: GroundConfig) -> tuple[GroundRecord, GroundPlane
     if plane is not None:
         return _record("tf", plane, f"{log.base_frame} to the depth camera"), plane, ()
     if ground.source == "tf":
-        raise InputError(problem, path=log.name, remedy="give --ground.camera-height-m")
+        raise InputError(problem, path=log.name, remedy="pass --ground.camera-height-m")
     return *nothing, (problem,) if log.T_base_camera is not None else ()
 
 
@@ -317,7 +317,7 @@ def _other_prior(
             text = f"the camera is taken to be mounted upside down ({flags}): turned over, {sample}"
             return _estimate(found, shown, sample), shown, text
         turned = "turned, " if quarters else ""
-        return record, plane, f"if the camera is mounted so, give {flags}: {turned}{sample}"
+        return record, plane, f"if the camera is mounted so, pass {flags}: {turned}{sample}"
     return record, plane, ""
 
 
@@ -345,7 +345,7 @@ def _tf_fault(shown: GroundPlane, plane: GroundPlane, flags: str) -> str:
     steep = math.radians(STEEP_DEG) < max(map(abs, tilts))
     remedy = "name the optical frame with --log.camera-frame" if steep else "correct the transforms"
     text = f"by its transforms the camera looks {stated}; its images show the floor of a camera "
-    return f"{text}{own}, which is used; {remedy}, or give {flags}"
+    return f"{text}{own}, which is used; {remedy}, or pass {flags}"
 
 
 def _estimate(found: SampledFloor, plane: GroundPlane, message: str) -> GroundRecord:

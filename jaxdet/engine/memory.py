@@ -94,7 +94,7 @@ class Memory:
         else:
             self.total = parse_size(requested, "--memory")
         if self.total < least:
-            remedy = f"give --memory {size_text(least)} or more"
+            remedy = f"pass --memory {size_text(least)} or more"
             raise ConfigError(f"--memory {requested} is too little for any log", remedy=remedy)
         self.apart = apart and self.total >= PARENT + WORKER + LEAST_CHUNKS + LEAST_IMAGES
         fitting = [n for n in range(2, workers + 1) if self._left(n) >= LEAST_CHUNKS + LEAST_IMAGES]
@@ -144,7 +144,7 @@ class Memory:
         chunks = max(LEAST_CHUNKS, min(2 * self._largest, rest))  # half of the remaining memory
         least = size_text(self._fixed(1) + chunks + rest)
         problem = f"its images, index and rows need more memory than {size_text(self.total)}"
-        raise InputError(problem, path=where, remedy=f"give --memory {least} or more")
+        raise InputError(problem, path=where, remedy=f"pass --memory {least} or more")
 
     def _left(self, workers: int) -> int:
         """Return the memory for chunks and images of each process [bytes]."""

@@ -60,7 +60,7 @@ class OutputFolder:
         self._working = output.absolute() / WORKING
         self.staging = self._working / f"logs-{secrets.token_hex(4)}"
         if output.exists() and not output.is_dir():
-            raise ConfigError("is a file", path=str(output), remedy="give --output a folder")
+            raise ConfigError("is a file", path=str(output), remedy="pass --output a folder")
         self._lock = Lock(self._working / "lock")
         self.taken_over = self._lock.before is not None
         try:
@@ -129,7 +129,7 @@ class OutputFolder:
         """Check that results in the folder are of this configuration and version."""
         if is_complete(self.output) or (self.output / FRAMES).exists():
             problem = "holds results of an older version, or of one log"
-            raise ConfigError(problem, path=str(self.output), remedy="give another --output")
+            raise ConfigError(problem, path=str(self.output), remedy="pass another --output")
         if not (self.output / RUN).exists():
             return
         reason = self._difference(self.output / RUN)
@@ -140,7 +140,7 @@ class OutputFolder:
             raise ResultsError(str(self.output), others[0], reason=reason)
         if left := [name for name in others if name not in names]:
             problem = f"holds {left[0]}, which is not among the logs, and {reason}"
-            remedy = "name all logs that are there, or give another --output"
+            remedy = "name all logs that are there, or pass another --output"
             raise ConfigError(problem, path=str(self.output), remedy=remedy)
 
     def _difference(self, path: Path) -> str | None:
@@ -204,7 +204,7 @@ class OutputFolder:
             write_whole(staged / FAILED, to_json(content).encode())
 
     def _refuse(self, path: Path, problem: str) -> NoReturn:
-        raise ConfigError(problem, path=str(path), remedy="move it or give another --output")
+        raise ConfigError(problem, path=str(path), remedy="move it or pass another --output")
 
     def _clear(self) -> None:
         """Remove files that killed runs have left; ``finish`` removes folders moved aside."""

@@ -59,7 +59,7 @@ def find_own_body(log: "Log", config: Config, planes: Planes) -> np.ndarray:
         raise _not_found(log, f"{len(depth)} frames are too few", "use a longer log")
     plane = _floor(frames, config, planes)
     if not plane.valid[0]:
-        remedy = "give --ground.camera-height-m and --ground.camera-pitch"
+        remedy = "pass --ground.camera-height-m and --ground.camera-pitch"
         raise _not_found(log, "the floor is unknown", remedy)
     unit = log.calibration.depth_unit
     typical, same = _steady(depth, unit)

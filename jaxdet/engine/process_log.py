@@ -188,7 +188,7 @@ class CameraRun:
             if self.host.log_per_worker:
                 raise
             if out_of_memory(error):
-                remedy = "give a smaller --batch-size or --memory, or end other programs"
+                remedy = "pass a smaller --batch-size or --memory, or end other programs"
                 error = InputError("not enough memory", path=self.files.name, remedy=remedy)
             self._fail(error)
 
@@ -322,7 +322,7 @@ class CameraRun:
         if size > room and occupancy.cells <= MAX_CELLS:
             if self.host.log_per_worker:
                 raise MemoryError("not enough for as many maps at a time")
-            about.warnings.append(f"no map: it takes {size_text(size)}; give --memory more")
+            about.warnings.append(f"no map: it takes {size_text(size)}; pass --memory more")
             return
         image = occupancy.image()
         if image is None:

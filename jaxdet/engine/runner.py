@@ -204,7 +204,7 @@ def _check_outside(output: Path, logs: Sequence[LogFiles]) -> None:
     place = output.resolve()
     for folder in (path for log in logs for path in log.paths if path.is_dir()):
         if place.is_relative_to(folder.resolve()):
-            problem, remedy = f"is in the log {folder}", "give an --output next to it"
+            problem, remedy = f"is in the log {folder}", "pass an --output next to it"
             raise ConfigError(problem, path=str(output), remedy=remedy)
 
 

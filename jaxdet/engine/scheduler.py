@@ -75,7 +75,7 @@ def _standing(done: Collection[str], logs: Sequence[LogFiles], options: RunOptio
 
 @dataclass
 class Scheduler:
-    """Processes the logs of a run and moves their results to the output folder."""
+    """Scheduler of the logs of a run; moves their results to the output folder."""
 
     machine: Machine
     logs: Sequence[LogFiles]

@@ -57,19 +57,19 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         if isinstance(self.workers, int) and not 1 <= self.workers <= MAX_WORKERS:
-            remedy = f"give --workers from 1 to {MAX_WORKERS}"
+            remedy = f"pass --workers from 1 to {MAX_WORKERS}"
             raise ConfigError(f"{self.workers} workers", remedy=remedy)
         check_fields(self)
         if self.batch_size is not None and self.batch_size < 1:
-            raise ConfigError(f"batches of {self.batch_size}", remedy="give --batch-size 1 or more")
+            raise ConfigError(f"batches of {self.batch_size}", remedy="pass --batch-size 1 or more")
         if self.memory is not None:
             parse_size(self.memory, "--memory")
         if self.update and self.overwrite:
             raise ConfigError(
-                "--update and --overwrite exclude each other", remedy="give one of them"
+                "--update and --overwrite exclude each other", remedy="pass one of them"
             )
         if self.pictures < 0:
-            raise ConfigError(f"{self.pictures} pictures", remedy="give --pictures 0 or more")
+            raise ConfigError(f"{self.pictures} pictures", remedy="pass --pictures 0 or more")
 
 
 class Progress(NamedTuple):

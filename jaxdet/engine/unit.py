@@ -125,7 +125,7 @@ def lost_unit(
 
 
 class _ResultBuilder:
-    """Collects the batches of a unit, then makes the rows of all its frames at once."""
+    """Builder of the result of a unit: collects its batches, then makes all rows at once."""
 
     def __init__(self, log: "Log", plan: LogPlan, unit: Unit) -> None:
         self.log, self.plan, self.unit = log, plan, unit

@@ -196,7 +196,7 @@ def _resources(where: str) -> dict[str, float]:
     least = {"num_cpus": 1e-4, "num_gpus": 0.0}
     fit = all(least.get(name, inf) <= number < inf for name, number in found.items())
     if engine != "ray" or not fit:
-        remedy = "give --on ray, or --on ray:num_cpus=16,num_gpus=1 for instance"
+        remedy = "pass --on ray, or --on ray:num_cpus=16,num_gpus=1 for instance"
         raise ConfigError(f"--on {where} is not supported", remedy=remedy)
     return {"num_cpus": 1.0, **found} if found else {}
 

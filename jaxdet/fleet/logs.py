@@ -42,7 +42,7 @@ def list_logs(
     logs.sort(key=lambda log: log["name"])
     for one, other in pairwise(logs):
         if one["name"] == other["name"]:
-            remedy = "name a folder that holds both, or give each its own --output"
+            remedy = "name a folder that holds both, or pass each its own --output"
             raise ConfigError(f"two logs have the name {one['name']}", remedy=remedy)
     return logs
 
@@ -75,7 +75,7 @@ def share_of(logs: Sequence[Log], share: str) -> list[Log]:
     found = _SHARE.fullmatch(share)
     number, of = (int(found[1]), int(found[2])) if found else (0, 0)
     if not 1 <= number <= of:
-        remedy = "give one from 1/4 to 4/4 to each of four machines, for instance"
+        remedy = "pass one from 1/4 to 4/4 to each of four machines, for instance"
         raise ConfigError(f"--share {share} is not K/N with K from 1 to N", remedy=remedy)
     return [log for log in logs if _digest(log["name"]) % of == number - 1]
 

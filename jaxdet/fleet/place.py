@@ -91,16 +91,16 @@ def address(text: str | os.PathLike[str]) -> str:
     text = os.fspath(text)
     if not (found := _URL.fullmatch(text)):
         if re.match(r"[a-z][a-z0-9+]*:/", text, re.IGNORECASE):
-            remedy = "give a folder, s3://BUCKET/PATH, gs://BUCKET/PATH or az://CONTAINER/PATH"
+            remedy = "pass a folder, s3://BUCKET/PATH, gs://BUCKET/PATH or az://CONTAINER/PATH"
             raise ConfigError("unsupported kind of address", path=scrub(text), remedy=remedy)
         return str(Path(text).absolute())
     url = f"{found[1].lower()}://{found[2].rstrip('/')}"
     if scrub(url) != url:
         problem = "an address with credentials or a query is refused"
-        remedy = "give keys in the environment, for instance AWS_ACCESS_KEY_ID"
+        remedy = "set keys in the environment, for instance AWS_ACCESS_KEY_ID"
         raise ConfigError(problem, path=scrub(url), remedy=remedy)
     if not found[2].strip("/"):
-        raise ConfigError("names no bucket", path=url, remedy="give s3://BUCKET/PATH, for instance")
+        raise ConfigError("names no bucket", path=url, remedy="pass s3://BUCKET/PATH, for instance")
     return url
 
 

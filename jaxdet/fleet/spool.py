@@ -89,7 +89,7 @@ def base_folder(base: str | None) -> Path:
         owner = folder.lstat().st_uid
     if owner != os.getuid() or folder.is_symlink():
         problem = f"is a link, or belongs to another user (number {owner})"
-        raise ConfigError(problem, path=str(folder), remedy="give --spool another folder")
+        raise ConfigError(problem, path=str(folder), remedy="pass --spool another folder")
     return folder
 
 
@@ -112,7 +112,7 @@ def check_room(base: str | None, size: int, bound: int | None, held: int) -> Non
     most = (free + held) * 3 // 4 if bound is None else bound
     if size > min(most - held, free):
         problem = f"has {size} bytes; local disk may hold {max(0, min(most - held, free))} more"
-        raise InputError(problem, remedy="give --spool a larger disk, or a larger --spool-size")
+        raise InputError(problem, remedy="pass --spool a larger disk, or a larger --spool-size")
 
 
 def sweep(base: str | None = None) -> int:

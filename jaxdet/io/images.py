@@ -124,7 +124,8 @@ def decode_color(image: ImageMessage, row: np.ndarray, max_pixels: int) -> None:
 
     Supported encodings are ``rgb bgr rgba bgra mono`` and the four Bayer patterns, with 8 or 16
     bits, of which the upper 8 are used; OpenCV converts ``yuyv uyvy nv12 nv21`` (BT.601). Grey is
-    repeated in the three channels. As in Foxglove, 8UC1 is mono8 and 8UC3 is bgr8.
+    repeated in the three channels. Synonyms are the keys of ``_ALIASES``; as in Foxglove, 8UC1 is
+    mono8 and 8UC3 is bgr8.
 
     Args:
         image: Message.

@@ -17,8 +17,8 @@ def best_step(
 
     The floor before the step is the plane, and the floor beyond is parallel to it. The two must be
     separated by more than the tolerances, and the floor beyond must be visible over some distance,
-    which excludes walls. At least one in ``OWN`` inliers must be before the step; otherwise there
-    is no step but a floor at another height.
+    which excludes walls. At least one in ``OWN`` inliers must be before the step; otherwise it
+    is not a step but a floor at another height.
 
     Args:
         seen: Profile above a plane.

@@ -27,7 +27,7 @@ _CANT = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
 
 
 @contextmanager
-def writing(path: Path, remedy: str = "make room or give another --output") -> Iterator[None]:
+def writing(path: Path, remedy: str = "make room or pass another --output") -> Iterator[None]:
     """Turn system errors into an error that ends the whole run, not only the current log.
 
     Args:

@@ -4,6 +4,7 @@
 
     RESULTS/
       run.json            configuration and versions of all logs, written once
+      known_map.yaml known_map.png  map that was passed to jaxdet track --map
       drive_1/            a log, see jaxdet.results.names.log_name
         frames.parquet obstacles.parquet summary.json config.json
         map.npz map.png pictures/000012.png

@@ -126,7 +126,7 @@ _NUMBERS = ("resolution", "occupied_thresh", "free_thresh")
 
 
 def _bad(path: Path, problem: str) -> InputError:
-    remedy = "give the YAML file of a map for nav2's map_server"
+    remedy = "pass the YAML file of a map for nav2's map_server"
     return InputError(problem, path=str(path), remedy=remedy)
 
 

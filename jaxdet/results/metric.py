@@ -66,7 +66,7 @@ def _check(obstacles: Obstacles, depth_unit: float, parts: Sequence[str]) -> Non
     """Check the arrays of obstacles that ``parts`` names; the first has a single value per slot."""
     of_type("obstacles", obstacles, Obstacles)
     if not 0 < number("depth_unit", depth_unit) < math.inf:
-        problem, remedy = f"{depth_unit:g} m", "give the metres of a depth unit"
+        problem, remedy = f"{depth_unit:g} m", "pass the metres of a depth unit"
         raise InputError(problem, topic="depth_unit", remedy=remedy)
     slots = numeric(f"obstacles.{parts[0]}", getattr(obstacles, parts[0])).shape
     for name in parts:
@@ -74,7 +74,7 @@ def _check(obstacles: Obstacles, depth_unit: float, parts: Sequence[str]) -> Non
         wanted = (*slots, *_PARTS.get(name, ()))
         if shape != wanted:
             raise InputError(
-                f"shape {shape}", topic=f"obstacles.{name}", remedy=f"give shape {wanted}"
+                f"shape {shape}", topic=f"obstacles.{name}", remedy=f"pass shape {wanted}"
             )
 
 
@@ -369,7 +369,7 @@ def to_world(corners: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
     corners = numeric("corners", corners)
     if poses.shape[1:] != (4, 4) or corners.shape != (len(poses), *corners.shape[1:3], 2):
         problem = f"shape {corners.shape}, with poses of shape {poses.shape}"
-        raise InputError(problem, topic="corners", remedy="give (B, M, P, 2) and (B, 4, 4)")
+        raise InputError(problem, topic="corners", remedy="pass (B, M, P, 2) and (B, 4, 4)")
     sin, cos = (a[:, None, None] for a in world_angle(poses))
     x, y = corners[..., 0], corners[..., 1]
     X0, Y0 = (poses[:, i, 3][:, None, None] for i in (0, 1))

@@ -153,7 +153,7 @@ class LogSummary(Counts):
         others = [f"{n} have that of {name}" for name, n in priors.items()]
         if nothing:
             others.append(f"in {nothing} no floor is known, so their obstacles have no distance")
-        remedy = "give the camera's true --ground.camera-height-m, --ground.camera-pitch and "
+        remedy = "pass the camera's true --ground.camera-height-m, --ground.camera-pitch and "
         remedy += "--ground.camera-roll"
         if self.floor_sources["flags"]:
             remedy += ", or leave them out"
@@ -203,7 +203,7 @@ class LogSummary(Counts):
         return (
             f"{self.tilted_frames} of {self.status[FrameStatus.OK]} frames have no place in the "
             f"world and on the map: their floor is tilted by more than {MOST_TILT_DEG:g}° in it, "
-            "so its z is not up, or the camera's mount is wrong; give poses in a world whose z "
+            "so its z is not up, or the camera's mount is wrong; use poses in a world whose z "
             "points up, or none"
         )
 

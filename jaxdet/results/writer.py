@@ -100,7 +100,7 @@ def table_bytes(table: pa.Table) -> bytes:
 
 
 class TableWriter:
-    """Writes the two tables of a log; a context manager that closes them.
+    """Writer of the two tables of a log, a context manager that closes them.
 
     Args:
         folder: Folder of the files, which are complete when :meth:`close` returns.

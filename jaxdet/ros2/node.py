@@ -121,7 +121,7 @@ class ObstacleNode:
             problem = "the method needs colour images, which the node does not receive"
             raise ConfigError(problem, topic="config", remedy=remedy)
         self._unit = number("depth_unit_m", settings["depth_unit_m"])
-        with _about("depth_unit_m", "give metres, 0.001 for millimetres"):
+        with _about("depth_unit_m", "pass metres, 0.001 for millimetres"):
             check_depth_unit(self._unit)
         self._mount = _mount(settings)
         self._base = _BaseFrame(node, settings["base_frame"]) if settings["base_frame"] else None
