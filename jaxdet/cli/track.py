@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Links the obstacles of each log over time: in the world frame if the log has poses, else in the
-camera's floor frame. Writes tracks.parquet (one row per track: path, speed, whether it moves),
+camera's ground frame. Writes tracks.parquet (one row per track: path, speed, whether it moves),
 track_links.parquet (the track of each row of obstacles.parquet, in the same order) and a picture of
 the map with the paths into the folder of each log; existing tracks are replaced.
 

@@ -43,7 +43,7 @@ def read_labels(path: Path) -> dict[tuple[str, int], BoxLabels]:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(f"cannot read labels ({error.strerror})", path=str(path)) from error
+        raise InputError(f"labels can't be read ({error.strerror})", path=str(path)) from error
     except (ValueError, RecursionError) as error:
         problem = f"invalid JSON ({error})"
         raise InputError(problem, path=str(path), remedy=_REMEDY) from error
