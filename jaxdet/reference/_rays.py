@@ -40,7 +40,7 @@ class Standing(NamedTuple):
     z: np.ndarray
     """Depth of each cell [depth units], 0 = none."""
     is_cell: np.ndarray
-    """Whether the cell is above the step height, bool."""
+    """Whether the cell belongs to an obstacle or is above the step height, bool."""
 
 
 def rays(
@@ -107,11 +107,11 @@ def blocks(
 ) -> np.ndarray:
     """Compute the range of the nearest obstacle on each ray, from the nearest pixels of cells.
 
-    A cell above the step height contributes its nearest pixel, or its own depth if that pixel is
-    nearer than the depth range. Another cell contributes its nearest pixel if that is above the
-    step height of a single pixel, which has more noise than a cell. A tile consists of some cells
-    of a column; its nearest point blocks all sectors that the tile covers. The arithmetic is
-    float32, and each operation is rounded separately.
+    A cell of an obstacle or above the step height contributes its nearest pixel, or its own depth
+    if that pixel is nearer than the depth range. Another cell contributes its nearest pixel if that
+    is above the step height of a single pixel, which has more noise than a cell. A tile consists of
+    some cells of a column; its nearest point blocks all sectors that the tile covers. The
+    arithmetic is float32, and each operation is rounded separately.
 
     Args:
         standing: Cells of a frame.

@@ -276,8 +276,8 @@ struct Rays {
     }
 };
 
-// Nearest obstacle above the step height in each sector of bearings. The position of an obstacle is
-// that of the nearest pixel of its cell or, if this pixel is nearer than the minimum depth, of the cell.
+// Nearest cell of an obstacle, or above the step height, in each sector of bearings. Its position is that
+// of its nearest pixel or, if this pixel is nearer than the minimum depth, of the cell.
 // The computation is in float32 as in the reference, with each operation rounded separately.
 struct RayBlocks {
     // A tile is TILE rows of a column of cells; its nearest point blocks all sectors that the tile
