@@ -80,6 +80,9 @@ def test_the_end_of_a_log_is_reported_once(capsys) -> None:
     for number, done in ((0, 20), (0, 20), (1, 0), (1, 20), (1, 20)):
         lines(Progress("ab"[number], number, 2, done, 20, 0, None))
     assert capsys.readouterr().err == "[1/2] a: 20/20 frames\n[2/2] b: 20/20 frames\n"
+    for camera in ("front", "front", "back"):
+        lines(Progress(f"a {camera}", 0, 1, 20, 20, 0, None))
+    assert capsys.readouterr().err == "a front: 20/20 frames\na back: 20/20 frames\n"
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals on this system")

@@ -67,7 +67,7 @@ class _Lines:
 
     def __init__(self) -> None:
         self.last = time.monotonic()
-        self.finished = -1  # number of the last log whose end was reported
+        self.finished = ""  # log or camera whose end was reported last
 
     def __call__(self, now: "Progress") -> None:
         unfinished = now.doing or now.done < now.total
@@ -76,9 +76,9 @@ class _Lines:
         if unfinished and time.monotonic() - self.last < LINE_EVERY_S:
             return
         if not unfinished:
-            if now.log_number == self.finished:
+            if now.log == self.finished:
                 return
-            self.finished = now.log_number
+            self.finished = now.log
         self.last = time.monotonic()
         if now.num_logs > FEW_LOGS:
             tell(_logs_text(now))
