@@ -5,7 +5,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxdet.floor.frame import (
-    ANGLES,
     FRAME_BITS,
     STEEPEST_SLOPE,
     UNKNOWN_HEIGHT,
@@ -13,7 +12,7 @@ from jaxdet.floor.frame import (
     on_floor,
 )
 from jaxdet.floor.plane import down_vector, flat_plane, ground_axes, unknown_plane
-from jaxdet.floor.units import Scale, prior_units
+from jaxdet.floor.units import ANGLES, Scale, prior_units
 
 UNIT = 0.001
 

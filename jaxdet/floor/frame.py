@@ -1,12 +1,12 @@
 """Floor frames in integers: position of points on the floor, and height above it.
 
-Angles are integer steps, :data:`ANGLES` per degree, and sines come from a table, so that all
-further operations are sums, products and shifts of integers.
+Angles are integer steps, :data:`jaxdet.floor.units.ANGLES` per degree, and sines come from a table,
+so that all further operations are sums, products and shifts of integers.
 """
 
 import numpy as np
 
-from jaxdet.floor.units import ANGLES, FARTHEST, SINE_BITS, SINES, angle_steps
+from jaxdet.floor.units import FARTHEST, SINE_BITS, angle_steps, cosine, sine, wrapped
 from jaxdet.types import GroundPlane
 
 FRAME_BITS = 13  # fraction bits of the axes of a floor frame
@@ -62,9 +62,8 @@ def axes(pitch: np.ndarray, roll: np.ndarray) -> list[np.ndarray | int]:
     Returns:
         Nine components, each ``(B,)`` or 0.
     """
-    turn, quarter = 180 * ANGLES, 90 * ANGLES
     sin_p, cos_p, sin_r, cos_r = (
-        SINES[(a + turn) % (2 * turn) + turn + b] for a in (pitch, roll) for b in (0, quarter)
+        function(wrapped(angle)) for angle in (pitch, roll) for function in (sine, cosine)
     )
 
     def product(a: np.ndarray, b: np.ndarray | int = 1 << SINE_BITS) -> np.ndarray:
