@@ -38,6 +38,7 @@ from jaxdet.types import (
     Refusal,
 )
 from tests.floor_cells import CAMERA, Pose, cast
+from tests.floor_cells import Box as BoxCorners
 from tests.scenes import D435, D435_MOTION, assert_equal, frames
 
 SURFACES = Config()
@@ -522,6 +523,17 @@ def test_labelled_obstacles_of_a_moving_wheelchair_are_found(shared_data: Path) 
     assert score.on_floor == 0 and score.swamped == 0
 
 
+def with_shadows(boxes: list[BoxCorners], upside_down: bool) -> Frames:
+    """Return a frame in which nothing is measured behind boxes."""
+    depth, plane = cast(POSE, boxes), POSE.plane()
+    for box in boxes:
+        rows, columns = np.nonzero(cast(POSE, [box]) < cast(POSE, []) - 0.001)
+        depth[: rows.min(), columns.min() : columns.max() + 1] = 0
+    if upside_down:
+        depth, plane = depth[::-1, ::-1], plane._replace(roll=plane.roll + np.pi)
+    return made(depth[None], plane)
+
+
 @pytest.mark.parametrize("upside_down", [False, True])
 def test_notches_of_the_free_floor_reveal_objects_lower_than_the_step(
     device: object, upside_down: bool
@@ -529,13 +541,8 @@ def test_notches_of_the_free_floor_reveal_objects_lower_than_the_step(
     """Nothing is measured behind a strip 4 cm high: free floor ends at the strip, and continues on
     both sides of it.
     """
-    bare, strip = (cast(POSE, boxes) for boxes in ([], [((-0.1, 2.0, 0.0), (0.1, 2.1, 0.04))]))
-    rows, columns = np.nonzero(strip < bare - 0.001)
-    depth, plane = strip.copy(), POSE.plane()
-    depth[: rows.min(), columns.min() : columns.max() + 1] = 0
-    if upside_down:
-        depth, plane = depth[::-1, ::-1], plane._replace(roll=plane.roll + np.pi)
-    given = made(depth[None], plane)
+    strips = [((-0.1, 2.0, 0.0), (0.1, 2.1, 0.04))]
+    given = with_shadows(strips, upside_down)
     detections = found(given)
     scene = detections.scene
     assert scene and count(detections) == 1 and scene.first_notch[0] == 0
@@ -543,7 +550,7 @@ def test_notches_of_the_free_floor_reveal_objects_lower_than_the_step(
     assert 20 < scene.bottom_top[0, 0, 0] <= scene.bottom_top[0, 0, 1] < 45
     assert_equal(detect(given, SURFACES), detections)
     # If the floor behind the strip is measured, the strip counts as floor.
-    assert count(found(made(strip[None], POSE.plane()))) == 0
+    assert count(found(made(cast(POSE, strips)[None], POSE.plane()))) == 0
 
 
 @pytest.mark.parametrize("upside_down", [False, True])
@@ -551,14 +558,7 @@ def test_objects_in_notches_are_numbered_from_left_to_right(
     device: object, upside_down: bool
 ) -> None:
     strips = [((x, y, 0.0), (x + 0.2, y + 0.1, 0.04)) for x, y in ((-0.6, 1.9), (0.3, 1.6))]
-    bare, depth = cast(POSE, []), cast(POSE, strips)
-    for strip in strips:
-        rows, columns = np.nonzero(cast(POSE, [strip]) < bare - 0.001)
-        depth[: rows.min(), columns.min() : columns.max() + 1] = 0
-    plane = POSE.plane()
-    if upside_down:
-        depth, plane = depth[::-1, ::-1], plane._replace(roll=plane.roll + np.pi)
-    given = made(depth[None], plane)
+    given = with_shadows(strips, upside_down)
     detections = found(given)
     scene = detections.scene
     assert scene and count(detections) == 2 and scene.first_notch[0] == 0
