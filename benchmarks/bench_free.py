@@ -9,7 +9,7 @@ from jaxdet.reference._cells import nearest_depths
 from jaxdet.reference._detect import _free
 
 STEP, MADE = "find_free_floor", ("free", "free_end")
-READ = ("label", "low", "z", "nearest_pixel", "right", "forward", "height", "frame")
+READ = ("label", "low", "half", "z", "nearest_pixel", "right", "forward", "height", "frame")
 
 
 def cases() -> list[Case]:

@@ -7,10 +7,11 @@ from benchmarks.run import Case
 from benchmarks.scene import CONFIG, inputs, on_cells
 from benchmarks.sweep import SIZES, Point
 from jaxdet.floor.plane import depth_range
+from jaxdet.reference._lower_parts import with_lower_parts
 from jaxdet.reference._obstacles import obstacles as grouped
 
 STEP, MADE = "find_obstacles", ("label", "num_obstacles")
-READ = ("x", "y", "z", "right", "forward", "height", "surface", "free_cell")
+READ = ("x", "y", "z", "right", "forward", "height", "surface", "free_cell", "half", "frame")
 
 
 def cases() -> list[Case]:
@@ -20,7 +21,10 @@ def cases() -> list[Case]:
     shared = far, unit, CONFIG.obstacle
 
     def peer() -> list[np.ndarray]:
-        found = [grouped(one.label, one.free, one.view, *shared) for one in seen.surfaces]
+        found = []
+        for one, floor in zip(seen.surfaces, seen.floor, strict=True):
+            label = grouped(one.label, one.free, one.view, *shared)
+            found.append(with_lower_parts(label, one.half, one.view, floor))
         return [np.stack(found), np.max(found, axis=(1, 2)) + 1]
 
     return [against_reference(STEP, peer, MADE)]

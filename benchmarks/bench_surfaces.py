@@ -9,8 +9,8 @@ from benchmarks.sweep import SIZES, Point
 from jaxdet.floor.plane import step_height
 from jaxdet.reference._detect import _surfaces
 
-STEP, MADE = "find_surfaces", ("right", "forward", "height", "surface", "keep", "low")
-FIELDS = ("right", "forward", "height", "label", "keep", "low")
+STEP, MADE = "find_surfaces", ("right", "forward", "height", "surface", "keep", "low", "half")
+FIELDS = ("right", "forward", "height", "label", "keep", "low", "half")
 
 
 def cases() -> list[Case]:

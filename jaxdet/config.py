@@ -70,8 +70,9 @@ class GroundConfig:
     0.2 degrees) and is not divided; the preset paper sets it to 0, as in the paper.
     """
     noise_per_m: float = 0.07
-    """Depth noise on the floor [1/m]: the step height is at least the product of this value, the
-    camera's height and the depth, divided by s for cells of s x s pixels. 0 disables it.
+    """Maximum depth noise on the floor [1/m]: the step height is at least the noise that the floor
+    of the frame shows, and that is at most the product of this value, the camera's height and the
+    depth, divided by s for cells of s x s pixels. 0 disables it.
     """
     max_height_m: float = 2.0
     """Maximum obstacle height, the robot's clearance [m]. Objects that hang higher are ignored, and

@@ -102,6 +102,7 @@ class Surfaces(NamedTuple):
     keep: np.ndarray
     free: np.ndarray
     low: np.ndarray
+    half: np.ndarray
     num_surfaces: np.ndarray
     has_depth: np.ndarray
 
@@ -117,11 +118,17 @@ def surfaces(
 
 
 def obstacles(
-    label: np.ndarray, free: np.ndarray, view: Sequence[np.ndarray], tables: Tables
+    label: np.ndarray,
+    free: np.ndarray,
+    half: np.ndarray,
+    view: Sequence[np.ndarray],
+    frame: np.ndarray,
+    tables: Tables,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Run ``find_obstacles``; return the obstacle of each cell, and the number of obstacles."""
     names = "x", "y", "z", "right", "forward", "height"
-    given = {"surface": label, "free_cell": free, **dict(zip(names, view, strict=True))}
+    given = {"surface": label, "free_cell": free, "half": half, "frame": frame}
+    given |= dict(zip(names, view, strict=True))
     found = step("find_obstacles", tables, given, _grid(label))
     return found["label"], found["num_obstacles"]
 
@@ -166,6 +173,7 @@ class FreeFloor(NamedTuple):
 def free_floor(
     label: np.ndarray,
     low: np.ndarray,
+    half: np.ndarray,
     z: np.ndarray,
     nearest: np.ndarray,
     floor: Sequence[np.ndarray],
@@ -173,7 +181,8 @@ def free_floor(
     tables: Tables,
 ) -> FreeFloor:
     """Run ``find_free_floor``; return free floor, and obstacles with those in its notches."""
-    given = {"label": label, "low": low, "z": z, "nearest_pixel": nearest, "frame": frame}
+    given = {"label": label, "low": low, "half": half, "z": z, "nearest_pixel": nearest}
+    given["frame"] = frame
     given |= dict(zip(("right", "forward", "height"), floor, strict=True))
     given["num_obstacles"] = label.max(axis=(1, 2), initial=-1).astype(np.int32) + 1
     found = step("find_free_floor", tables, given, _grid(label))

@@ -48,6 +48,11 @@ class Batch(NamedTuple):
         return np.stack([one.low for one in self.found])
 
     @property
+    def half(self) -> np.ndarray:
+        """Mask of cells above half of the step height, ``(B, R, C)`` bool."""
+        return np.stack([one.half for one in self.found])
+
+    @property
     def floor(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Right, forward and height of cells, each ``(B, R, C)`` int32."""
         names = ("right", "forward", "height")
@@ -131,7 +136,9 @@ def drawn(
     low = (label < 0) & (rng.random(shape) < 0.8)
     places = (right, forward, height)
     views = [View(x[b], y[b], z[b], *(a[b] for a in places)) for b in range(batch)]
-    found = [Found(label[b], label[b] >= 0, low[b], views[b], low[b], False) for b in range(batch)]
+    half = (label >= 0) | (rng.random(shape) < 0.5)
+    masks = [(label[b] >= 0, low[b], views[b], low[b], half[b]) for b in range(batch)]
+    found = [Found(label[b], *masks[b], False) for b in range(batch)]
     return Batch(Cells(*xyz), found, grid_calibration(rows, columns))
 
 

@@ -37,7 +37,7 @@ from jaxdet.types import (
     Intrinsics,
     Refusal,
 )
-from tests.floor_cells import CAMERA, Pose, cast
+from tests.floor_cells import CAMERA, Pose, cast, measured
 from tests.floor_cells import Box as BoxCorners
 from tests.scenes import D435, D435_MOTION, assert_equal, frames
 
@@ -181,8 +181,8 @@ def test_cells_with_twice_the_side_raise_the_step_height_by_half_as_much() -> No
     black = np.zeros((1, 240, 320, 3), np.uint8)
     fine = frames(Calibration(fine_camera), black, depth, plane=POSE.plane())
 
-    def kept(given: Frames, per_m: float, noise: float = 0.0) -> np.ndarray:
-        ground = GroundConfig(step_height_per_m=per_m, noise_per_m=noise)
+    def kept(given: Frames, per_m: float) -> np.ndarray:
+        ground = GroundConfig(step_height_per_m=per_m, noise_per_m=0.0)
         config = replace(SURFACES, ground=ground)
         cells = detect(given, config, backend="reference", with_cells=True).cells
         assert cells
@@ -190,8 +190,31 @@ def test_cells_with_twice_the_side_raise_the_step_height_by_half_as_much() -> No
 
     np.testing.assert_array_equal(kept(coarse, 0.01), kept(fine, 0.02))
     assert kept(fine, 0.02).sum() > kept(coarse, 0.02).sum()
-    np.testing.assert_array_equal(kept(coarse, 0.0, 0.05), kept(fine, 0.0, 0.1))
-    assert kept(fine, 0.0, 0.1).sum() > kept(coarse, 0.0, 0.1).sum()
+
+
+HIGH = Pose(1.3, 30.0, 0.0)
+CARTON_AHEAD = ((-0.2, 1.6, 0.0), (0.1, 1.9, 0.08))
+
+
+@pytest.mark.parametrize("roll", [0.0, 30.0, 180.0])
+def test_a_low_box_seen_from_above_is_found_if_the_floor_has_little_noise(roll: float) -> None:
+    """The maximum noise, which cells of one pixel have, would hide everything below 18 cm."""
+    pose = HIGH._replace(roll=roll)
+    given = made(cast(pose, [CARTON_AHEAD])[None], pose.plane())
+    detections = found(given)
+    assert count(detections) == 1 and detections.scene
+    bottom, top = detections.scene.bottom_top[0, 0] * UNIT
+    assert 0.025 < bottom < 0.045 and top == pytest.approx(0.08, abs=0.01)
+    none = replace(SURFACES, ground=GroundConfig(step_height_m=0.2))
+    assert count(found(given, none)) == 0
+
+
+@pytest.mark.parametrize("noise", [0.003, 0.006, 0.008])
+def test_noise_of_the_floor_is_no_obstacle(noise: float) -> None:
+    """The standard deviation of depth is the noise times z squared."""
+    for seed in range(4):
+        depth = measured(cast(HIGH, []), seed, noise) * UNIT
+        assert count(found(made(depth[None], HIGH.plane()))) == 0
 
 
 def test_labelled_cells_span_the_box_of_their_obstacle() -> None:
@@ -200,7 +223,7 @@ def test_labelled_cells_span_the_box_of_their_obstacle() -> None:
     cells, side = detections.cells, 1
     assert cells
     on = cells.label[0] == 0
-    assert cells.keep[0, on].all() and (cells.label[0, ~on] == -1).all()
+    assert on[cells.keep[0]].all() and (cells.label[0, ~on] == -1).all()
     row, column = np.nonzero(on)
     assert detections.obstacles.num_points[0, 0] == on.sum()
     first, last = detections.obstacles.uv_min[0, 0], detections.obstacles.uv_max[0, 0]

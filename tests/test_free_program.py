@@ -67,7 +67,8 @@ def assert_twins(
         frame = np.repeat(floor_frames(plane, batch.unit), len(batch.found), axis=0)
         batch = on_rays(batch, frame[0]) if placed else batch
         found, first, free, end = _free(batch.found, frame, pixels, batch.calibration, config)
-        twin = free_floor(batch.label, batch.low, batch.grid.z, pixels, batch.floor, frame, shared)
+        given = batch.label, batch.low, batch.half, batch.grid.z, pixels, batch.floor, frame
+        twin = free_floor(*given, shared)
         label = batch._replace(found=found).label
         count = label.max(axis=(1, 2), initial=-1).astype(np.int32) + 1
         for got, expected in zip(twin, (label, count, first, free, end), strict=True):

@@ -11,12 +11,13 @@ from jaxdet import types
 from jaxdet.affinity import affinity
 from jaxdet.config import Config, ObstacleConfig
 from jaxdet.floor.frame import floor_frames
-from jaxdet.floor.plane import depth_range, step_height, unknown_plane
+from jaxdet.floor.plane import depth_range, flat_plane, step_height, unknown_plane
 from jaxdet.io import open_log
 from jaxdet.presets import preset
 from jaxdet.reference._cells import cells
 from jaxdet.reference._detect import _surfaces
 from jaxdet.reference._floor import find_floor
+from jaxdet.reference._lower_parts import with_lower_parts
 from jaxdet.reference._obstacles import obstacles as reference
 from jaxdet.reference._surfaces import renumbered
 from jaxdet.reference._view import View
@@ -47,11 +48,14 @@ def assert_twin(
     farthest: int = 6000,
     unit: float = UNIT,
 ) -> list[int]:
-    """Assert that the results of the kernel equal the reference.
+    """Assert that the results of the kernel equal the reference, with any floor.
 
     Returns:
         Number of obstacles of each frame.
     """
+    rng, rolls = np.random.default_rng(0), np.radians([0.0, 180.0, 100.0, 30.0])
+    planes = flat_plane(*np.array([[0.3] * 4, [0.2] * 4, rolls]), np.array([1, 1, 1, 0], bool))
+    floors = np.resize(floor_frames(planes, unit), (len(given), 13))
     table = affinity(config.affinity, unit)
     shared = obstacle_tables(farthest, unit, config, table)
     parts = zip(*(one.view for one in given), strict=True)
@@ -59,8 +63,12 @@ def assert_twin(
     view = tuple(a if a.dtype == bool else a.astype(np.int32) for a in arrays)
     label = np.stack([one.label for one in given]).astype(np.int32)
     free = np.stack([one.free for one in given])
-    found, count = obstacles(label, free, view, shared)
-    true = [reference(*one, farthest, unit, config) for one in given]
+    half = rng.random(label.shape) < 0.7
+    found, count = obstacles(label, free, half, view, floors, shared)
+    true = [
+        with_lower_parts(reference(*one, farthest, unit, config), half[b], one.view, floors[b])
+        for b, one in enumerate(given)
+    ]
     np.testing.assert_array_equal(np.asarray(found), np.stack(true))
     counts = [int(one.max(initial=-1)) + 1 for one in true]
     np.testing.assert_array_equal(np.asarray(count), counts)
@@ -171,7 +179,7 @@ def test_a_grid_that_is_too_large_is_an_error() -> None:
     view = 6 * [none]
     shared = obstacle_tables(4000, UNIT, CONFIG, affinity("surfaces", UNIT))
     with pytest.raises(ValueError, match="got 513 x 2"):
-        obstacles(none, none > 0, view, shared)
+        obstacles(none, none > 0, none > 0, view, np.zeros((1, 13), np.int32), shared)
 
 
 # twin

@@ -50,7 +50,7 @@ def assert_twin(
         want = _surfaces(grid, b, floors[b], step, unit, config)
         for name in ("right", "forward", "height"):
             np.testing.assert_array_equal(getattr(got, name)[b], getattr(want.view, name))
-        for name in ("label", "keep", "free", "low"):
+        for name in ("label", "keep", "free", "low", "half"):
             np.testing.assert_array_equal(getattr(got, name)[b], getattr(want, name))
         assert min(got.num_surfaces[b], MAX_SURFACES) == want.label.max() + 1
     assert {a.dtype.name for a in got} == {"int32", "bool"}

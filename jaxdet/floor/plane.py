@@ -212,7 +212,8 @@ class StepHeight(NamedTuple):
     The depth error of a stereo camera is ``c z^2``, with c inversely proportional to the focal
     length, so floor seen from a height h appears up to ``c z h`` higher or lower. Cells have the
     same angular size in all cameras, so their side s in pixels is proportional to the focal length:
-    the step is ``step_height_m + step_height_per_m z / s``, and at least ``noise_per_m h z / s``.
+    the step is ``step_height_m + step_height_per_m z / s``, and at least the noise of the floor,
+    which is at most ``noise_per_m h z / s``.
     """
 
     table: np.ndarray
@@ -221,10 +222,17 @@ class StepHeight(NamedTuple):
     noise: int
     """Factor ``noise_per_m / s`` [1/depth unit], with ``NOISE_BITS`` fraction bits, below 2^31."""
 
-    def at(self, z: np.ndarray, height: int) -> np.ndarray:
-        """Return the step height of cells at depths z, for this camera height [depth units]."""
+    def most_noise(self, height: int) -> int:
+        """Return the maximum noise per depth seen from this camera height [depth units].
+
+        It has ``SLOPE_BITS`` fraction bits.
+        """
         slope = max(height, 0) * self.noise >> (NOISE_BITS - SLOPE_BITS)
-        return np.maximum(self.table[z], z * min(slope, STEEPEST_NOISE) >> SLOPE_BITS)
+        return min(slope, STEEPEST_NOISE)
+
+    def at(self, z: np.ndarray, noise: int) -> np.ndarray:
+        """Return the step height of cells at depths z, for this noise per depth."""
+        return np.maximum(self.table[z], z * noise >> SLOPE_BITS)
 
 
 NOISE_BITS = 34  # fraction bits of a noise factor

@@ -7,21 +7,16 @@ import numpy as np
 
 from jaxdet.camera import cell_rays, cell_side
 from jaxdet.config import Config
-from jaxdet.floor.frame import (
-    CAMERA_HEIGHT,
-    DOWN,
-    IS_KNOWN,
-    UNKNOWN_HEIGHT,
-    floor_frames,
-    on_floor,
-)
+from jaxdet.floor.frame import DOWN, IS_KNOWN, UNKNOWN_HEIGHT, floor_frames, on_floor
 from jaxdet.floor.plane import StepHeight, depth_range, max_height, quadratic_table, step_height
 from jaxdet.floor.rays import NOTCH_M, half_turn
 from jaxdet.reference import paper
 from jaxdet.reference._cells import cell_boxes, cells, margins, nearest_depths
 from jaxdet.reference._evidence import Pairs, pairs
 from jaxdet.reference._floor import FloorFit, find_floor, floor_of_cells, used_cells
+from jaxdet.reference._floor_noise import noise_slope
 from jaxdet.reference._free import FloorView, floor_ahead, is_upside_down
+from jaxdet.reference._lower_parts import with_lower_parts
 from jaxdet.reference._measures import footprint_on_floor
 from jaxdet.reference._notches import notches, with_notches
 from jaxdet.reference._obstacles import obstacles, whole_surfaces
@@ -54,6 +49,7 @@ class Found(NamedTuple):
     free: np.ndarray  # (R, C) bool, known to be free: floor, or beyond the range
     view: View
     low: np.ndarray  # (R, C) bool, measured, not above the step height
+    half: np.ndarray  # (R, C) bool, measured, above half of the step height
     overflow: bool  # whether there are more surfaces than MAX_SURFACES
 
 
@@ -150,7 +146,7 @@ def _group(
     found = _surfaces(grid, b, floor, step, unit, config)
     _, farthest = depth_range(config.ground.min_depth_m, config.ground.max_depth_m, unit)
     label = obstacles(found.label, found.free, found.view, farthest, unit, config.obstacle)
-    return found._replace(label=label)
+    return found._replace(label=with_lower_parts(label, found.half, found.view, floor))
 
 
 def _surfaces(
@@ -160,16 +156,21 @@ def _surfaces(
     ground_config, settings = config.ground, config.surface
     view = _view(grid, b, floor)
     nearest, farthest = depth_range(ground_config.min_depth_m, ground_config.max_depth_m, unit)
-    rise = step.at(view.z, int(floor[CAMERA_HEIGHT]))
-    in_range = (view.z >= nearest) & (view.z <= round(farthest * settings.beyond))
+    beyond = round(farthest * settings.beyond)
+    noise = noise_slope(view, step, floor, nearest, beyond)
+    rise = step.at(view.z, noise)
+    in_range = (view.z >= nearest) & (view.z <= beyond)
     below = (view.height <= max_height(ground_config, unit)) | (floor[IS_KNOWN] == 0)
     keep = in_range & (view.height > rise) & below
-    label, low = surfaces(view.z, keep, unit, settings), (view.z > 0) & (view.height <= rise)
+    measured = view.z > 0
+    low, half = measured & (view.height <= rise), measured & (2 * view.height > rise)
+    label = surfaces(view.z, keep, unit, settings)
     straight = without_bent_floor(label, low, view.forward, view.height, unit, settings)
     keep &= (label < 0) | (straight >= 0)
     overflow = bool(straight.max(initial=-1) >= MAX_SURFACES)
     straight = np.where(straight < MAX_SURFACES, straight, -1)
-    return Found(straight, keep, (view.z >= nearest) & ~keep, view, low, overflow)
+    free = (view.z >= nearest) & ~keep
+    return Found(straight, keep, free, view, low, half, overflow)
 
 
 def _view(grid: Cells, b: int, floor: np.ndarray) -> View:
@@ -278,8 +279,7 @@ def _with_notches(one: Found, frame: np.ndarray, calibration: Calibration, confi
     unit, cell = calibration.depth_unit, one.view
     line, end = _columns(one, frame, calibration, config)
     length, ahead = round(NOTCH_M / unit), line[:, 1, 1].astype(np.int64)
-    rise = step_height(calibration, config).at(cell.z, int(frame[CAMERA_HEIGHT]))
-    high = _in_range(one, frame, config, unit) & (2 * cell.height > rise)
+    high = _in_range(one, frame, config, unit) & one.half
     notch, least = notches(end, ahead, length), config.obstacle.min_cells
     if is_upside_down(frame[DOWN]):
         notch, ahead = notch[::-1], ahead[::-1]  # to columns of the image

@@ -42,12 +42,17 @@ def floor_ahead(
         far: As for :func:`free_floor`.
         longest_gap: As for :func:`free_floor`.
     """
-    if abs(int(down[0])) > abs(int(down[1])):
+    if is_on_side(down):
         columns = view.label.shape[1]
         return np.zeros((columns, 2, 2), np.int32), np.zeros(columns, np.int32)
     if is_upside_down(down):
         view = FloorView(*(a[::-1, ::-1] for a in view))
     return free_floor(view, far, longest_gap)
+
+
+def is_on_side(down: np.ndarray) -> bool:
+    """Return whether a camera is on its side, from ``(3,)`` int as for :func:`floor_ahead`."""
+    return abs(int(down[0])) > abs(int(down[1]))
 
 
 def is_upside_down(down: np.ndarray) -> bool:

@@ -56,7 +56,7 @@ _HEADER = 32
 def work_layout(rows: int, columns: int) -> Layout:
     """Return the layout of a frame's intermediate arrays: floor frame, and arrays of cells."""
     by_cell = "x", "y", "z", "nearest_pixel", "right", "forward", "height", "surface", "label"
-    bools = "keep", "free_cell", "low"
+    bools = "keep", "free_cell", "low", "half"
     shapes = {"frame": (13,), **dict.fromkeys((*by_cell, *bools), (rows, columns))}
     return Layout(shapes, frozenset(bools))
 

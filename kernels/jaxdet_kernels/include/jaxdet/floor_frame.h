@@ -37,6 +37,14 @@ struct FloorFrame {
         return valid ? height - along(2, x, y, z) : (int)UNKNOWN;
     }
 
+    // Whether the camera is on its side, so that columns of cells are not vertical, and whether it is
+    // upside down.
+    bool is_on_side() const {
+        const int aside = axes[6], upright = axes[7];  // x and y of the down vector
+        return (aside < 0 ? -aside : aside) > (upright < 0 ? -upright : upright);
+    }
+    bool is_upside_down() const { return axes[7] < 0; }
+
     bool has_ramp() const { return valid && ramp_slope; }
 
     // Height of the ramp above the plane at the forward distance `ahead` [depth units].

@@ -72,9 +72,8 @@ struct FreeFloor {
 
     // Finds the free floor for an upright or inverted camera; it is unknown if the camera is on its side.
     void run(const FloorFrame& frame) {
-        const int aside = frame.axes[6], upright = frame.axes[7];  // x and y of the down vector
-        turned = upright < 0;
-        if ((aside < 0 ? -aside : aside) > (upright < 0 ? -upright : upright)) {
+        turned = frame.is_upside_down();
+        if (frame.is_on_side()) {
             for (int k = team.rank; k < 4 * columns; k += team.size) line_out[k] = 0;
             for (int c = team.rank; c < columns; c += team.size) end_out[c] = UNKNOWN;
             team.sync();

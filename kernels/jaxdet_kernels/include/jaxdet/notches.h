@@ -1,15 +1,13 @@
 // Low obstacles revealed by notches in the free floor. Twin of jaxdet/reference/_notches.py.
 #pragma once
 #include "free.h"
-#include "surfaces.h"
 
 namespace jaxdet { namespace {
 
 struct Notches {
     const FreeFloor& floor;  // free floor, whose `run` has finished
     const int* settings;
-    const int* rises;  // (DEPTHS,) step height by z; due to noise it is at least `slope` times z
-    int slope;
+    const unsigned char* half;  // (R, C): whether a cell is above half of the step height
     // Scratch. `notch` is the notch of each column, from left to right, -1 if there is none. `size` is first the number of
     // cells of each notch, then the number of its obstacle, -1 if it has too few cells. `most` is the
     // number of notches.
@@ -77,10 +75,9 @@ struct Notches {
             const int column = floor.turned ? floor.columns - 1 - c : c;
             for (int k = column; n >= 0 && k < end; k += floor.columns) {
                 const int z = floor.z[k], high = floor.height[k], beyond = floor.forward[k] - from;
-                const int rise = Surfaces::higher(rises[z], z * slope >> Surfaces::SLOPE_BITS);
                 if (label[k] < 0 && z >= settings[FreeFloor::NEAREST] &&
                     z <= settings[FreeFloor::IN_RANGE] && high <= settings[FreeFloor::HIGHEST] &&
-                    2 * high > rise && beyond >= 0 && beyond <= settings[FreeFloor::NOTCH])
+                    half[k] && beyond >= 0 && beyond <= settings[FreeFloor::NOTCH])
                     use(n, k);
             }
         }

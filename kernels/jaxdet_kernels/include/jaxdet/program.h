@@ -4,6 +4,7 @@
 #include "cells.h"
 #include "floor.h"
 #include "free.h"
+#include "lower_parts.h"
 #include "notches.h"
 #include "obstacles.h"
 #include "outlines.h"
@@ -54,7 +55,7 @@ struct Frame {
     const int *rays, *tile_corners, *sines, *feature, *threshold, *value, *obstacle_settings;
     // Intermediate arrays that a step writes for later steps, one value per cell except for `frame`.
     int *frame, *x, *y, *z, *nearest, *right, *forward, *above, *surface, *label;
-    unsigned char *keep, *free, *low;
+    unsigned char *keep, *free, *low, *half;
     // The record of results.
     int *floor, *num_surfaces, *has_depth, *num_obstacles;
     int *num_points, *has_vertex, *contour_points;
@@ -84,7 +85,7 @@ struct Frame {
         Arena handed{work}, found{record};
         handed.take(FloorFrame::VALUES, frame);
         handed.take(cells, x, y, z, nearest, right, forward, above, surface, label);
-        handed.take((cells + 3) / 4, keep, free, low);
+        handed.take((cells + 3) / 4, keep, free, low, half);
         work_words = handed.used;
         found.take(FoundFrame::RESULTS, floor);
         found.take(1, num_surfaces, has_depth, num_obstacles);
@@ -118,7 +119,7 @@ struct Frame {
 
     JAXDET_STEP void find_surfaces(const Team& team, int* scratch) const {
         Surfaces{rows, columns, x, y, z, frame, steps, limits, rises, surface_settings, right,
-                 forward, above, surface, keep, free, low, num_surfaces, has_depth, scratch}
+                 forward, above, surface, keep, free, low, half, num_surfaces, has_depth, scratch}
             .run(team);
     }
 
@@ -134,6 +135,7 @@ struct Frame {
         Obstacles found = obstacles(fast);
         found.allocate(arena);
         found.run(team);
+        LowerParts{rows, columns, half, forward, above, label}.run(team, FloorFrame(frame));
     }
 
     // Scratch memory of the free-floor step.
@@ -158,8 +160,7 @@ struct Frame {
         const Rays found{by_column, bearings, ray_directions, parts.start, parts.stop, parts.block,
                          parts.polar, of[FreeFloor::HALF_TURN]};
         by_column.run(floor_frame);
-        const int slope = Surfaces::noise(floor_frame, surface_settings[Surfaces::NOISE]);
-        const Notches notches{by_column, of, rises, slope, parts.polar, parts.start, parts.stop, label,
+        const Notches notches{by_column, of, half, parts.polar, parts.start, parts.stop, label,
                               num_obstacles, first_notch};
         if (notches.run()) by_column.run(floor_frame);
         found.begin();

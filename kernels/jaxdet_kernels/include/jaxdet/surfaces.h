@@ -4,7 +4,7 @@
 #include "arena.h"
 #include "bits.h"
 #include "creases.h"
-#include "floor_frame.h"
+#include "floor_noise.h"
 #include "grid.h"
 #include "runs.h"
 #include "team.h"
@@ -19,15 +19,14 @@ struct Surfaces {
     };
     // Indices of settings; lengths are in depth units. NEAREST and FARTHEST: depth range of surfaces.
     // CREASE_CELLS, MIN_CELLS and CREASE_MARGIN: radius, minimum size and dilation of creases [cells].
-    // BENT: height up to which surfaces without a steep side are floor. NOISE: step height due to noise
-    // per depth and per height of the camera, with NOISE_BITS fraction bits. HIGHEST: height
+    // BENT: height up to which surfaces without a steep side are floor. NOISE: maximum noise of the floor
+    // per depth and per height of the camera, see FloorNoise. HIGHEST: height
     // above which the robot passes below obstacles. IN_RANGE: end of the depth range. HOLE: largest
     // hole [cells].
     enum {
         NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, HIGHEST, IN_RANGE,
         HOLE, SETTINGS
     };
-    enum { NOISE_BITS = 34, SLOPE_BITS = 14, STEEPEST_NOISE = 32767 };
     int rows, columns;
     const int *x, *y, *z;  // (R, C): positions of cells in the camera; z is 0 for unmeasured cells
     const int* floor;
@@ -36,7 +35,7 @@ struct Surfaces {
     const int *steps, *limits, *rises;
     const int* settings;
     int *right, *forward, *height, *label_out;  // (R, C): position on the floor, and label
-    unsigned char *keep, *free, *low;           // (R, C): masks, see `Found` in the reference
+    unsigned char *keep, *free, *low, *half;    // (R, C): masks, see `Found` in the reference
     int* count_out;
     int* has_depth_out;  // whether any depth is in range
     int* scratch;
@@ -77,49 +76,48 @@ struct Surfaces {
         }
     };
 
-    // Transforms cell k to the floor frame and classifies it; returns whether it is kept. Cells no higher
-    // than `rise` are floor.
-    __attribute__((always_inline)) bool place(const FloorFrame& frame, int k, int rise) const {
+    // Transforms a cell to the floor frame.
+    void place(const FloorFrame& frame, int k) const {
         const int a = x[k], b = y[k], d = z[k], ahead = frame.forward(a, b, d);
-        int high = frame.level(a, b, d);
-        if (frame.has_ramp()) high -= frame.rise(ahead);
-        const bool above = high > rise;
-        const bool below = (high <= settings[HIGHEST]) | !frame.valid;
-        const bool on = (d >= settings[NEAREST]) & (d <= settings[FARTHEST]) & above & below;
         right[k] = frame.right(a, b, d);
         forward[k] = ahead;
-        height[k] = high;
+        height[k] = frame.level(a, b, d) - (frame.has_ramp() ? frame.rise(ahead) : 0);
+    }
+
+    // Classifies a cell; returns whether it is kept. Cells no higher than `rise` are floor.
+    __attribute__((always_inline)) bool classify(bool is_known, int k, int rise) const {
+        const int d = z[k], high = height[k];
+        const bool above = high > rise;
+        const bool below = (high <= settings[HIGHEST]) | !is_known;
+        const bool on = (d >= settings[NEAREST]) & (d <= settings[FARTHEST]) & above & below;
         keep[k] = on;
         free[k] = (d >= settings[NEAREST]) & !on;
         low[k] = (d > 0) & !above;
+        half[k] = (d > 0) & (2 * high > rise);
         return on;
     }
-
-    // Step height due to noise, per depth unit of z, with SLOPE_BITS fraction bits. Cells up to this
-    // height or up to `rises`, whichever is larger, are floor.
-    static int noise(const FloorFrame& frame, int setting) {
-        const long long high = frame.height > 0 ? frame.height : 0;
-        const long long slope = high * setting >> (NOISE_BITS - SLOPE_BITS);
-        return slope < STEEPEST_NOISE ? (int)slope : (int)STEEPEST_NOISE;
-    }
-
-    static int higher(int a, int b) { return a > b ? a : b; }
 
     bool in_range(int d) const { return (d >= settings[NEAREST]) & (d <= settings[IN_RANGE]); }
 
     // Transforms and classifies all cells; returns whether the depth of any of this thread's cells is
     // in range. Ends in a sync.
     bool start(const Team& team, const BitRows& kept) const {
-        const Warp warp(team);
+        JAXDET_SHARED int sums[2];
         const FloorFrame frame(floor);
-        const int slope = noise(frame, settings[NOISE]);
+        const int cells = rows * columns;
+        JAXDET_VECTORIZE
+        for (int k = team.rank; k < cells; k += team.size) place(frame, k);
+        team.sync();
+        const FloorNoise noise{z, height, cells, settings[NEAREST], settings[FARTHEST], rises[0], sums};
+        const int slope = noise.slope(team, FloorNoise::most(frame, settings[NOISE]));
+        const Warp warp(team);
         int some = 0;
         for (int i = warp.index; i < kept.count(); i += warp.count) {
             const int c = kept.column(i), first = kept.row(i) * columns + c;
             const unsigned on = warp.bits(columns - c, [=, &some](int n) {
-                const int k = first + n, d = z[k];
+                const int k = first + n, d = z[k], noisy = d * slope >> FloorNoise::SLOPE_BITS;
                 some |= in_range(d);
-                return place(frame, k, higher(rises[d], d * slope >> SLOPE_BITS));
+                return classify(frame.valid, k, rises[d] > noisy ? rises[d] : noisy);
             });
             if (warp.lane == 0) kept[i] = on;
         }
