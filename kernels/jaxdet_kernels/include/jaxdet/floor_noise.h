@@ -13,7 +13,8 @@ struct FloorNoise {
     int cells;
     int nearest, farthest;  // range of depths
     int step;               // step height at depth 0
-    int* sums;              // two words in the fastest memory of the team
+    int* sums;              // COUNTS words in the fastest memory of the team
+    enum { BETWEEN = 3, COUNTS = BETWEEN + 1 };
 
     // Maximum noise for a camera at the height of the frame; `setting` is the noise per depth and per
     // height of the camera, with NOISE_BITS fraction bits.
@@ -23,30 +24,29 @@ struct FloorNoise {
         return slope < STEEPEST ? (int)slope : (int)STEEPEST;
     }
 
-    // Counts the floor cells, and those that are lower than the noise at this level permits.
-    void count(const Team& team, int most, int level, int* floor, int* lower) const {
-        if (team.rank == 0) sums[0] = sums[1] = 0;
+    // Counts the floor cells, and those that are lower than the noise permits at the levels `from`, plus
+    // one, two and three times `apart`. All threads get the counts.
+    void count(const Team& team, int most, int from, int apart, int* counts) const {
+        for (int i = team.rank; i < COUNTS; i += team.size) sums[i] = 0;
         team.sync();
-        const int deepest = DIVISOR * level;
-        int all = 0, deep = 0;
+        const int one = DIVISOR * (from + apart), two = one + DIVISOR * apart, three = two + DIVISOR * apart;
+        int floor = 0, a = 0, b = 0, c = 0;
         JAXDET_VECTORIZE
         for (int k = team.rank; k < cells; k += team.size) {
             const int d = z[k], high = height[k], noise = d * most >> SLOPE_BITS;
-            const int bound = noise > step ? noise : step;
+            const int bound = noise > step ? noise : step, below = -TIMES * LEVELS * high;
             const int on = (d >= nearest) & (d <= farthest) & (high <= bound) & (high >= -bound);
-            all += on;
-            deep += on & (int)(-TIMES * LEVELS * high > deepest * noise);
+            floor += on;
+            a += on & (int)(below > one * noise);
+            b += on & (int)(below > two * noise);
+            c += on & (int)(below > three * noise);
         }
         const Warp warp(team);
-        all = warp.sum(all);
-        deep = warp.sum(deep);
-        if (warp.lane == 0) {
-            team.atomic_add(sums, all);
-            team.atomic_add(sums + 1, deep);
-        }
+        const int own[COUNTS] = {warp.sum(floor), warp.sum(a), warp.sum(b), warp.sum(c)};
+        if (warp.lane == 0)
+            for (int i = 0; i < COUNTS; ++i) team.atomic_add(sums + i, own[i]);
         team.sync();
-        *floor = sums[0];
-        *lower = sums[1];
+        for (int i = 0; i < COUNTS; ++i) counts[i] = sums[i];
         team.sync();
     }
 
@@ -54,18 +54,17 @@ struct FloorNoise {
     int slope(const Team& team, int most) const {
         const long long end = farthest < DEEPEST ? farthest : (int)DEEPEST;
         if (end * most >> SLOPE_BITS <= step) return most;
-        int low = 1, high = LEVELS;
-        while (low < high) {
-            const int level = (low + high) / 2;
-            int floor, lower;
-            count(team, most, level, &floor, &lower);
-            if (floor < LEAST) return most;
-            if (SHARE * lower <= floor)
-                high = level;
-            else
-                low = level + 1;
+        // The search begins with every fourth level, then tests those between two of them.
+        int level = 0;
+        for (int apart = LEVELS / 4; apart; apart /= 4) {
+            int counts[COUNTS], below = level;
+            count(team, most, level, apart, counts);
+            if (counts[0] < LEAST) return most;
+            for (int i = 1; i < COUNTS; ++i)
+                if (SHARE * counts[i] > counts[0]) below = level + i * apart;
+            level = below;
         }
-        return most * high / LEVELS;
+        return most * (level + 1) / LEVELS;
     }
 };
 

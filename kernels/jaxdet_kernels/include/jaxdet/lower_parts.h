@@ -7,9 +7,9 @@ namespace jaxdet { namespace {
 
 struct LowerParts {
     int rows, columns;
-    const unsigned char* half;     // (R, C): whether a cell is above half of the step height
-    const int *forward, *height;   // (R, C)
-    int* label;                    // (R, C): obstacles, -1 = none
+    const unsigned char* half;    // (R, C): whether a cell is above half of the step height
+    const int *forward, *height;  // (R, C)
+    int* label;                   // (R, C): obstacles, -1 = none
 
     // Whether the side of an obstacle continues from a cell to the one below it.
     bool is_steep(int upper, int lower) const {
@@ -24,10 +24,11 @@ struct LowerParts {
         const int first = frame.is_upside_down() ? (rows - 1) * columns : 0;
         for (int r = 1; r < rows; ++r) {
             const int row = first + r * away;
+            JAXDET_VECTORIZE
             for (int c = team.rank; c < columns; c += team.size) {
-                const int k = row + c, upper = k - away;
-                if (label[upper] >= 0 && label[k] < 0 && half[k] && is_steep(upper, k))
-                    label[k] = label[upper];
+                const int k = row + c, upper = k - away, above = label[upper], own = label[k];
+                const bool joins = (above >= 0) & (own < 0) & (half[k] != 0) & is_steep(upper, k);
+                label[k] = joins ? above : own;
             }
         }
         team.sync();

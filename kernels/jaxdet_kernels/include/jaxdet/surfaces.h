@@ -102,7 +102,7 @@ struct Surfaces {
     // Transforms and classifies all cells; returns whether the depth of any of this thread's cells is
     // in range. Ends in a sync.
     bool start(const Team& team, const BitRows& kept) const {
-        JAXDET_SHARED int sums[2];
+        JAXDET_SHARED int sums[FloorNoise::COUNTS];
         const FloorFrame frame(floor);
         const int cells = rows * columns;
         JAXDET_VECTORIZE
