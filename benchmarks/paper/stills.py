@@ -11,7 +11,7 @@ from jaxdet.errors import InputError
 
 LABELS = Path(__file__).with_name("labels")
 ROOMS = LABELS / "rooms.json"
-PUBLIC = tuple(LABELS / f"{name}.json" for name in ("public", "public2", "public3", "public4"))
+PUBLIC = tuple(LABELS / f"public{n}.json" for n in ("", 2, 3, 4, 5))
 """Recipes, a dictionary per recording; the public ones have ``place`` and ``split``."""
 SUN_TURN = 3
 """Number of bits by which SUN RGB-D rotates its depths."""
