@@ -457,8 +457,9 @@ class CellLabels(NamedTuple):
     label: Array
     """Label ``(B, R, C)`` int32, -1 = none."""
     keep: Array
-    """Whether the cell is in range and above the floor, ``(B, R, C)`` bool; such a cell has no
-    label if its surface is too small for an obstacle."""
+    """Whether the cell is in range and above the step height, ``(B, R, C)`` bool. Such a cell has
+    no label if its surface is too small for an obstacle; lower parts of obstacles, and obstacles
+    found by the free floor, have labels on other cells too."""
     cells: Cells
 
 
