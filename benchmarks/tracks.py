@@ -131,7 +131,7 @@ def _rate(options: Options, results: Path) -> float:
     folder, repeats = options.folder / "long", 20_000 // max(1, _rows(results, "frames")) + 1
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    first = next(results.glob("*/manifest.json")).parent
+    first = min(results.glob("*/manifest.json")).parent  # its name is that of all rows
     shutil.copy(first / "config.json", folder)
     count = {name: _write_long(results, folder, name, repeats) for name in ("frames", "obstacles")}
     summary = json.loads((first / "summary.json").read_text())
