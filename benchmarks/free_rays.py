@@ -12,6 +12,7 @@ import sys
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 import jaxdet
 from jaxdet.camera import cell_side, pixel_rays
@@ -75,7 +76,8 @@ def figures(frames: Frames, config: Config) -> Figures:
     return Figures(*total[:4].astype(int).tolist(), *total[4:].tolist())
 
 
-def _rays_of(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
+def rays_of(right: ArrayLike, forward: ArrayLike) -> np.ndarray:
+    """Return the number of the ray through each point."""
     turn = np.arctan2(right, forward) * RAYS / (2 * np.pi) + RAYS // 2
     return np.rint(turn).astype(np.int64) % RAYS
 
@@ -83,7 +85,7 @@ def _rays_of(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
 def _nearest(right: np.ndarray, forward: np.ndarray) -> np.ndarray:
     """Return the minimum range of the points on each ray, ``(RAYS,)``; inf without points."""
     least = np.full(RAYS, np.inf)
-    np.minimum.at(least, _rays_of(right, forward), np.hypot(right, forward))
+    np.minimum.at(least, rays_of(right, forward), np.hypot(right, forward))
     return least
 
 
@@ -109,7 +111,7 @@ def _points(line: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray]:
     for near, far in line.astype(np.float64):
         start, stop = np.hypot(*near) * (near @ far > 0), np.hypot(*far)
         length = np.arange(start + step / 2, stop, step)
-        rays.append(np.full(len(length), _rays_of(*far)))
+        rays.append(np.full(len(length), rays_of(*far)))
         lengths.append(length)
     return np.concatenate(rays), np.concatenate(lengths)
 

@@ -20,8 +20,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from benchmarks.free_rays import rays_of
 from benchmarks.paper.labelled import Recording, find_recordings
-from benchmarks.paper.realframes import frames_with_floor
+from benchmarks.paper.realframes import Found, frames_with_floor
 from jaxdet.camera import pixel_rays
 from jaxdet.config import Config
 from jaxdet.eval.boxes import MIN_IOU, box_iou
@@ -31,7 +32,7 @@ from jaxdet.pipeline import detect
 from jaxdet.presets import preset
 from jaxdet.results.metric import floors
 from jaxdet.results.rows import to_host
-from jaxdet.types import RAYS, Detections, Frames, GroundPlane
+from jaxdet.types import Frames, GroundPlane
 
 HEIGHTS_M, WIDTHS_M = (0.06, 0.08, 0.10), (0.1, 0.2, 0.3)
 FORWARD_M, RIGHT_M = (0.8, 1.2, 1.6, 2.0, 2.5, 3.0), (0.0, -0.25, 0.25, -0.5, 0.5)
@@ -144,10 +145,9 @@ def insert(view: FloorView, box: Box) -> tuple[np.ndarray, np.ndarray] | None:
 
 def outcomes(frames: Frames, config: Config) -> Iterator[Outcome]:
     """Insert boxes into a frame, one at a time; yield the results."""
-    found = _detect(frames, config)
-    unit = frames.calibration.depth_unit
-    assert found.scene
-    plane = floors(found.scene, unit).plane
+    scene, unit = _detect(frames, config).detections.scene, frames.calibration.depth_unit
+    assert scene
+    plane = floors(scene, unit).plane
     if not plane.valid[0] or np.isfinite(plane.ramp_start[0]) or not frames.calibration.is_aligned:
         return
     view = view_of(frames, plane)
@@ -161,20 +161,17 @@ def outcomes(frames: Frames, config: Config) -> Iterator[Outcome]:
         yield _outcome(box, mask, _detect(frames._replace(depth=image[None]), config), unit)
 
 
-def _detect(frames: Frames, config: Config) -> Detections:
-    return to_host(detect(frames, config, backend="reference"))
+def _detect(frames: Frames, config: Config) -> Found:
+    return Found(frames, to_host(detect(frames, config, backend="reference")), config)
 
 
-def _outcome(box: Box, mask: np.ndarray, found: Detections, unit: float) -> Outcome:
+def _outcome(box: Box, mask: np.ndarray, found: Found, unit: float) -> Outcome:
     v, u = np.nonzero(mask)
-    true = np.array([[u.min(), v.min(), u.max(), v.max()]])
-    count, obstacles, scene = found.num_obstacles[0], found.obstacles, found.scene
+    true, scene = np.array([[u.min(), v.min(), u.max(), v.max()]]), found.detections.scene
     assert scene
-    boxes = np.concatenate([obstacles.uv_min[0], obstacles.uv_max[0]], axis=1)[:count]
-    bearing = np.arctan2(box.right, box.forward) / (2 * np.pi)
-    end = scene.free[0, round(float(bearing) * RAYS) + RAYS // 2, 1] * unit
+    end = scene.free[0, rays_of(box.right, box.forward), 1] * unit
     near = bool(end <= np.hypot(box.right, box.forward) + BEYOND_M)
-    return Outcome(box, bool((box_iou(true, boxes) >= MIN_IOU).any()), near)
+    return Outcome(box, bool((box_iou(true, found.boxes) >= MIN_IOU).any()), near)
 
 
 def judge(task: tuple[Recording, Path]) -> list[Outcome]:

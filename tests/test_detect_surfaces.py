@@ -181,8 +181,8 @@ def test_cells_with_twice_the_side_raise_the_step_height_by_half_as_much() -> No
     black = np.zeros((1, 240, 320, 3), np.uint8)
     fine = frames(Calibration(fine_camera), black, depth, plane=POSE.plane())
 
-    def kept(given: Frames, per_m: float) -> np.ndarray:
-        ground = GroundConfig(step_height_per_m=per_m, noise_per_m=0.0)
+    def kept(given: Frames, per_m: float, noise: float = 0.0) -> np.ndarray:
+        ground = GroundConfig(step_height_per_m=per_m, noise_per_m=noise)
         config = replace(SURFACES, ground=ground)
         cells = detect(given, config, backend="reference", with_cells=True).cells
         assert cells
@@ -190,6 +190,13 @@ def test_cells_with_twice_the_side_raise_the_step_height_by_half_as_much() -> No
 
     np.testing.assert_array_equal(kept(coarse, 0.01), kept(fine, 0.02))
     assert kept(fine, 0.02).sum() > kept(coarse, 0.02).sum()
+    np.testing.assert_array_equal(kept(coarse, 0.0, 0.05), kept(fine, 0.0, 0.1))
+    # The maximum noise is that of depth with more noise.
+    depth = measured(coarse.depth[0] * UNIT, noise=0.05)[None]
+    coarse = coarse._replace(depth=depth)
+    fine = fine._replace(depth=np.kron(depth, np.ones((1, 2, 2), np.uint16)))
+    np.testing.assert_array_equal(kept(coarse, 0.0, 0.05), kept(fine, 0.0, 0.1))
+    assert kept(fine, 0.0, 0.1).sum() > kept(coarse, 0.0, 0.1).sum()
 
 
 HIGH = Pose(1.3, 30.0, 0.0)
@@ -224,6 +231,8 @@ def test_labelled_cells_span_the_box_of_their_obstacle() -> None:
     assert cells
     on = cells.label[0] == 0
     assert on[cells.keep[0]].all() and (cells.label[0, ~on] == -1).all()
+    lower = on & ~cells.keep[0]  # between half of the step height and the step height
+    assert lower.any() and detections.scene and detections.scene.bottom_top[0, 0, 0] * UNIT > 0.025
     row, column = np.nonzero(on)
     assert detections.obstacles.num_points[0, 0] == on.sum()
     first, last = detections.obstacles.uv_min[0, 0], detections.obstacles.uv_max[0, 0]

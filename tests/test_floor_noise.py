@@ -13,7 +13,8 @@ from jaxdet.reference._view import View
 from jaxdet.types import Calibration, Intrinsics
 
 UNIT, HEIGHT_M, NEAREST, FARTHEST = 0.001, 1.5, 150, 4600
-STEP = step_height(Calibration(Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)), Config())
+CAMERA = Calibration(Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5))
+STEP = step_height(CAMERA, Config())
 MOST = STEP.most_noise(1500)
 FLOOR = floor_frames(flat_plane(np.array([HEIGHT_M]), np.zeros(1), np.zeros(1)), UNIT)[0]
 
@@ -43,8 +44,7 @@ def test_the_noise_is_three_halves_of_the_depth_that_a_hundredth_of_the_cells_ex
 def test_the_noise_is_at_most_the_configured_one() -> None:
     assert noise_slope(cells(100, 0.02), STEP, FLOOR, NEAREST, FARTHEST) == MOST
     none = replace(Config(), ground=replace(Config().ground, noise_per_m=0.0))
-    camera = Calibration(Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5))
-    step = step_height(camera, none)
+    step = step_height(CAMERA, none)
     assert noise_slope(cells(100, 0.02), step, FLOOR, NEAREST, FARTHEST) == 0
 
 

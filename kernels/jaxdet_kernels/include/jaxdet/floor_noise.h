@@ -14,7 +14,7 @@ struct FloorNoise {
     int nearest, farthest;  // range of depths
     int step;               // step height at depth 0
     int* sums;              // COUNTS words in the fastest memory of the team
-    enum { BETWEEN = 3, COUNTS = BETWEEN + 1 };
+    enum { COUNTS = 4 };    // of the floor cells, and of the lower ones at three levels
 
     // Maximum noise for a camera at the height of the frame; `setting` is the noise per depth and per
     // height of the camera, with NOISE_BITS fraction bits.

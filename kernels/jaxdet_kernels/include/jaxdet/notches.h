@@ -8,9 +8,9 @@ struct Notches {
     const FreeFloor& floor;  // free floor, whose `run` has finished
     const int* settings;
     const unsigned char* half;  // (R, C): whether a cell is above half of the step height
-    // Scratch. `notch` is the notch of each column, from left to right, -1 if there is none. `size` is first the number of
-    // cells of each notch, then the number of its obstacle, -1 if it has too few cells. `most` is the
-    // number of notches.
+    // Scratch. `notch` is the notch of each column, from left to right, -1 if there is none. `size` is
+    // first the number of cells of each notch, then the number of its obstacle, -1 if it has too few
+    // cells. `most` is the number of notches.
     int *notch, *size, *most;
     int* label;
     int *num_obstacles, *first;

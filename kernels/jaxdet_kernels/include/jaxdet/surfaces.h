@@ -20,9 +20,8 @@ struct Surfaces {
     // Indices of settings; lengths are in depth units. NEAREST and FARTHEST: depth range of surfaces.
     // CREASE_CELLS, MIN_CELLS and CREASE_MARGIN: radius, minimum size and dilation of creases [cells].
     // BENT: height up to which surfaces without a steep side are floor. NOISE: maximum noise of the floor
-    // per depth and per height of the camera, see FloorNoise. HIGHEST: height
-    // above which the robot passes below obstacles. IN_RANGE: end of the depth range. HOLE: largest
-    // hole [cells].
+    // per depth and per height of the camera, see FloorNoise. HIGHEST: height above which the robot passes
+    // below obstacles. IN_RANGE: end of the depth range. HOLE: largest hole [cells].
     enum {
         NEAREST, FARTHEST, CREASE_CELLS, MIN_CELLS, CREASE_MARGIN, BENT, NOISE, HIGHEST, IN_RANGE,
         HOLE, SETTINGS
